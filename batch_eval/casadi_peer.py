@@ -78,7 +78,7 @@ def _step(robot: jaxik.Robot) -> ca.Function:
     return ca.Function("step", [state, w, asked], [ca.vertcat(q + case.DT * rate, u + case.DT * w), cost])
 
 
-def targets(asked: jaxik.motions.path.Motion) -> np.ndarray:
+def targets(asked: jaxik.motions.TipMotion) -> np.ndarray:
     """The tip's position and velocity at each sample, (6, count), as `programs` take them."""
     return np.concatenate([asked.pose[:, 0, :3, 3], asked.velocity[:, 0, :3]], axis=1).T
 

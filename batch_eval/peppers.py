@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation, Slerp
 import jaxik
 from jaxik.collision.clearances import link_clearances
 from jaxik.costs import collision_cost, joint_limit_cost
-from jaxik.motions import follow, via
+from jaxik.motions import Curve, follow
 from jaxik.planning import OptimisedTrajectory, optimise_trajectory
 
 COUNT, DURATION, SPANS = 79, 10.0, 100
@@ -104,7 +104,7 @@ def followed(robot: jaxik.Robot, poses: list[np.ndarray]) -> np.ndarray:
         near = collision_cost(jnp.minimum(link_clearances(robot, around, q), 1.0), ACTIVATION, MOST)
         return jnp.sum(near) + 5.0 * joint_limit_cost(robot, q, soft=0.2)
 
-    paths = jax.tree_util.tree_map(lambda *x: np.stack(x), *(via(each) for each in poses))
+    paths = jax.tree_util.tree_map(lambda *x: np.stack(x), *(Curve(each) for each in poses))
     start = np.tile(HOME, (len(poses), 1))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -27,7 +27,7 @@ from race import machine
 import jaxik
 from jaxik.dynamics import PointForce, material_point
 from jaxik.estimation import Butterworth
-from jaxik.motions import Line, motion
+from jaxik.motions import Line
 from jaxik.touch import (
     Encounter,
     Reacted,
@@ -247,7 +247,7 @@ def random_contacts() -> dict[str, Any]:
 def step_time(count: int = 20_000) -> dict[str, float]:
     """How long a sample of the control loop takes [us]: numbers in, command out."""
     loop, q = ReactionLoop(reaction("multi", most=20.0)), begin()
-    asked = motion(path("avoidable"), 6.0, 2.0)
+    asked = path("avoidable").at(2.0, 6.0)
     asked = asked._replace(**{name: np.asarray(x) for name, x in asked._asdict().items()})
     felt = PointForce(np.array(LINK), np.asarray(material_point(model(), q, LINK, MIDDLE)), 6.0 * np.asarray(wall().normal))
     state, rate, times = loop.start(q), np.zeros(9), []

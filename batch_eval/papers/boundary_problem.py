@@ -22,7 +22,7 @@ import numpy as np
 from jax import lax
 
 from jaxik import Reason, Robot
-from jaxik.motions import Horizon, motion, resolve_velocity
+from jaxik.motions import Horizon, resolve_velocity
 
 NEWTON = 20  # steps to the input, at most
 STATIONARY = 1e-9  # share of dH/dw and H without an input that may be left of dH/dw
@@ -63,12 +63,12 @@ def boundary_value(
     instantaneous motion's q, and u = lambda = 0. The arguments are those of `jaxik.predict`.
 
     Beyond the joints' limits, or off its path, the motion is no success. Raises `ValueError` for a q or a guess of another
-    shape, a q that is no number, a duration that is not positive, and a path that `motion` refuses.
+    shape, a q that is no number, a duration that is not positive, and a path that `Path.at` refuses.
     """
     from scipy.integrate import simpson, solve_bvp
 
     with jax.enable_x64(True):
-        motion(path, duration, 0.0)  # refuses what is no path, and a duration that is not positive
+        path.at(0.0, duration)  # refuses what is no path, and a duration that is not positive
         system, world = _System(robot, cost, horizon), (path, float(duration))
         n, start = robot.num_joints, _start(robot, q, guess)
         time, first = _first(system, world, start, nodes, guess)
@@ -135,7 +135,7 @@ class _System:
         if gain is None:
             gain = 1.0 / self.horizon.dt if self.horizon.gain is None else self.horizon.gain
         how = {"task": self.horizon.task, "gain": gain, "weights": self.horizon.weights, "floor": self.horizon.floor}
-        return resolve_velocity(self.robot, q, motion(*world, t), u, **how)
+        return resolve_velocity(self.robot, q, world[0].at(t, world[1]), u, **how)
 
     def running(self, world: Any, t: Any, y: Any, w: Any) -> tuple[Any, Any]:
         """qdot, and the cost per second."""

@@ -3,22 +3,24 @@
 from jaxik.motions.following import FollowOptions, follow
 from jaxik.motions.moving_horizon import MovingHorizon, follow_predictively
 from jaxik.motions.nullspace import asc, rac, resolve_acceleration, resolve_velocity, rmrc
-from jaxik.motions.path import Arc, Line, motion, via
+from jaxik.motions.path import Arc, Curve, Line, Path, TipMotion
 from jaxik.motions.predictive import Horizon, energy_cost, multistart, predict, quadratic_cost
 from jaxik.motions.rate_limits import RateLimits
 
 __all__ = [
     "Arc",
+    "Curve",
     "FollowOptions",
     "Horizon",
     "Line",
     "MovingHorizon",
+    "Path",
     "RateLimits",
+    "TipMotion",
     "asc",
     "energy_cost",
     "follow",
     "follow_predictively",
-    "motion",
     "multistart",
     "predict",
     "quadratic_cost",
@@ -26,5 +28,4 @@ __all__ = [
     "resolve_acceleration",
     "resolve_velocity",
     "rmrc",
-    "via",
 ]

@@ -25,7 +25,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
 from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.nullspace import FLOOR, Box, Resolved, asc, loop_gain, rac, settles
-from jaxik.motions.path import Motion, Path, check_path, motion
+from jaxik.motions.path import Path, TipMotion, check_path
 from jaxik.motions.rate_limits import RateLimits
 from jaxik.optimise import ocp
 from jaxik.reasons import Reason, Reasoned
@@ -138,10 +138,10 @@ def _program(
 ) -> Callable[..., tuple[Any, ...]]:
     def run(q: Any, path: Path, duration: Any) -> tuple[Any, ...]:
         times = how.dt * (jnp.arange(float(count))[:, None] + jnp.array([0.0, 0.5, 1.0]))
-        stages = Motion(*(x.reshape(count, 3, *x.shape[1:]) for x in motion(path, duration, times.reshape(-1))))
+        stages = TipMotion(*(x.reshape(count, 3, *x.shape[1:]) for x in path.at(times.reshape(-1), duration)))
         limits = RateLimits.of(robot, how.limits, how.acceleration)
 
-        def turn(state: tuple[Any, Any], stages: Motion) -> Any:
+        def turn(state: tuple[Any, Any], stages: TipMotion) -> Any:
             q, qdot = state
             after, found, held = _moved(robot, cost, how, limits, q, qdot, stages)
             return after, (q, (after[0] - q) / how.dt, found.error, found.damping, held)
@@ -156,7 +156,7 @@ def _program(
 
 
 def _moved(
-    robot: Robot, cost: Cost | None, how: FollowOptions, limits: RateLimits, q: Any, qdot: Any, stages: Motion
+    robot: Robot, cost: Cost | None, how: FollowOptions, limits: RateLimits, q: Any, qdot: Any, stages: TipMotion
 ) -> tuple[Any, Resolved, Any]:
     """The state a sample later; how it was resolved at its start; and whether a limit held a joint back."""
     dt = how.dt
@@ -173,7 +173,7 @@ def _moved(
     else:
         down, box = cost if how.scheme == "asc" else None, Box(low, high) if boxed else None
 
-        def field(q: Any, _: Any, asked: Motion) -> tuple[Any, Resolved]:
+        def field(q: Any, _: Any, asked: TipMotion) -> tuple[Any, Resolved]:
             found = asc(robot, q, asked, down, how.alpha, gain=loop_gain(how.gain, dt), box=box, **options)
             return found.rate, found
 

@@ -26,7 +26,7 @@ from jaxik.checks.options import as_count, check_finite
 from jaxik.kinematics.robot import Robot
 from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.following import Followed, samples
-from jaxik.motions.path import Path, check_path, motion
+from jaxik.motions.path import Path, check_path
 from jaxik.motions.predictive import Horizon, RunningCost, future, objective, problem
 from jaxik.optimise import descent, ocp
 
@@ -155,6 +155,6 @@ def follow_predictively(
         state, now = control.step(state, path, duration, given(t) if callable(given) else given)
         moments.append((now.q, now.qdot, now.total, now.error, now.damping))
     q, qdot, total, error, damping = map(np.stack, zip(*moments, strict=True))
-    asked = motion(path, duration, time)
+    asked = path.at(time, duration)
     judged = control._judged(Course(q, qdot, error, damping, asked.pose, costs=total))
     return Moved(time, q, qdot, error, damping, *map(np.asarray, judged), total=total)

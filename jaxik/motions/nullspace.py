@@ -32,7 +32,7 @@ from jaxik.costs import Cost
 from jaxik.kinematics.forward import bias_acceleration, jacobian_columns, joint_frames
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSE, Task
-from jaxik.motions.path import Motion
+from jaxik.motions.path import TipMotion
 from jaxik.optimise.linear import damped_solve
 from jaxik.spatial.algebra import Frame, safe_divide, traced
 from jaxik.spmd import kernel
@@ -71,7 +71,7 @@ class Resolved(NamedTuple):
 def resolve_velocity(
     robot: Robot,
     q: Float[Array, " n"],
-    motion: Motion,
+    motion: TipMotion,
     u: Float[Array, " n"],
     task: Task = POSE,
     gain: Any = 1.0,
@@ -90,7 +90,7 @@ def resolve_velocity(
 
 
 def resolved_velocity(
-    robot: Robot, task: Task, floor: float, q: Any, motion: Motion, u: Any, gain: Any, weights: Any, box: Any = None
+    robot: Robot, task: Task, floor: float, q: Any, motion: TipMotion, u: Any, gain: Any, weights: Any, box: Any = None
 ) -> Resolved:
     """`resolve_velocity`, inside a kernel of its own that is differentiated."""
     at = TaskAt(robot, q, motion, task)
@@ -104,7 +104,7 @@ def resolve_acceleration(
     robot: Robot,
     q: Float[Array, " n"],
     qdot: Float[Array, " n"],
-    motion: Motion,
+    motion: TipMotion,
     u: Float[Array, " n"],
     task: Task = POSE,
     gains: tuple[Any, Any] = (1.0, 2.0),
@@ -123,18 +123,20 @@ def resolve_acceleration(
 
 @kernel(models=3)
 def _acceleration(
-    robot: Robot, task: Task, floor: float, q: Any, qdot: Any, motion: Motion, u: Any, gains: Any, weights: Any, box: Any
+    robot: Robot, task: Task, floor: float, q: Any, qdot: Any, motion: TipMotion, u: Any, gains: Any, weights: Any, box: Any
 ) -> Resolved:
     at = TaskAt(robot, q, motion, task)
     return at.resolved(at.acceleration(qdot, gains), u, weights, floor, box)
 
 
-def rmrc(robot: Robot, q: Float[Array, " n"], motion: Motion, **options: Any) -> Resolved:
+def rmrc(robot: Robot, q: Float[Array, " n"], motion: TipMotion, **options: Any) -> Resolved:
     """Resolved motion rate control: the least joint velocities. Options are those of `resolve_velocity`. Traced."""
     return resolve_velocity(robot, q, motion, jnp.zeros(robot.num_joints), **options)
 
 
-def asc(robot: Robot, q: Float[Array, " n"], motion: Motion, cost: Cost | None, alpha: Any = 1.0, **options: Any) -> Resolved:
+def asc(
+    robot: Robot, q: Float[Array, " n"], motion: TipMotion, cost: Cost | None, alpha: Any = 1.0, **options: Any
+) -> Resolved:
     """Automatic supervisory control: down the gradient of `cost` by `alpha` in the null space. Options are those of
     `resolve_velocity`. Traced."""
     return resolve_velocity(robot, q, motion, downhill(robot, q, cost, alpha, **options), **options)
@@ -144,7 +146,7 @@ def rac(
     robot: Robot,
     q: Float[Array, " n"],
     qdot: Float[Array, " n"],
-    motion: Motion,
+    motion: TipMotion,
     cost: Cost | None = None,
     alpha: Any = 1.0,
     damping: Any = 1.0,
@@ -186,7 +188,7 @@ def check_weights(robot: Robot, weights: Any) -> None:
 class TaskAt:
     """A moment of a task: its rows of the Jacobian (m, n) at q, its error (m,), and what its motion asks. Traced."""
 
-    def __init__(self, robot: Robot, q: Any, motion: Motion, task: Task):
+    def __init__(self, robot: Robot, q: Any, motion: TipMotion, task: Task):
         self.q = q = as_configuration(robot, q)
         self.robot, self.task, self.dtype, self.motion = robot, task, q.dtype, motion
         self.target = Frame.of_entries(traced(as_shaped("pose", motion.pose, (4, 4)).astype(q.dtype)))

@@ -1,4 +1,4 @@
-"""Where the tip is to be at each moment: lines, arcs and curves through via points, with velocity and acceleration.
+"""Where the tip is to be at each moment: lines, arcs and curves through poses, with velocity and acceleration.
 
 A path gives the tip's pose for s in [0, 1]; a quintic in time runs s from 0 to 1 and starts and ends at rest:
 
@@ -10,7 +10,6 @@ be traced, moved and batched. A path of positions has no rotation of its own; it
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -25,18 +24,45 @@ from jaxik.spatial.rotations import frame, rotation_exp, rotation_log
 from jaxik.spmd import kernel
 
 
-class Motion(NamedTuple):
-    """What is asked of the tip at a moment, in the base frame: `base_T_tip` (4, 4) [m], velocity and acceleration (6,), linear
-    then angular [m/s, rad/s; m/s2, rad/s2]."""
+class TipMotion(NamedTuple):
+    """The tip's motion at a moment, in the base frame: `base_T_tip` (4, 4) [m], velocity and acceleration (6,), linear then
+    angular [m/s, rad/s; m/s2, rad/s2]."""
 
     pose: Float[Array, "*t 4 4"]
     velocity: Float[Array, "*t 6"]
     acceleration: Float[Array, "*t 6"]
 
+    @classmethod
+    def still(cls, pose: Any) -> TipMotion:
+        """The tip at rest at a pose (4, 4)."""
+        return cls(pose, jnp.zeros(6, pose.dtype), jnp.zeros(6, pose.dtype))
 
-class Line(Pytree):
-    """A straight line from `start` to `end` (4, 4), turning about one axis by the shorter way. Raises `ValueError` for what is
-    known to be no rigid frame, as `Arc` does."""
+
+class Path(Pytree):
+    """The way of the tip. A subclass is a pytree of arrays and has `pose`, traced and twice differentiable by s."""
+
+    def pose(self, s: Any) -> Any:
+        """Position (3,) [m] and rotation (3, 3) at s in [0, 1]. Traced."""
+        raise NotImplementedError
+
+    def at(self, t: Any, duration: Any) -> TipMotion:
+        """The tip's motion at time t [s], which may be an array, timed over `duration` > 0 [s]. Traced.
+
+        Raises `ValueError` for a duration that is known not to be, for a path whose arrays have other shapes, and for one whose
+        frames are known and not rigid, or whose axis is no direction; where they are traced, the motion is NaN.
+        """
+        check_path("path", self, duration)
+        t = as_numbers("path: t", t)
+        duration = float(duration) if isinstance(duration, int) else duration  # of any size
+        if is_known((self, duration, t)):
+            jax.eval_shape(self.pose, jax.ShapeDtypeStruct((), jnp.result_type(t, float)))  # raises for known mistakes
+            return _compiled(self, duration, t)  # not operation by operation, each of which XLA would compile
+        return _at_each(self, duration, t)
+
+
+class Line(Path):
+    """A straight line from `start` to `end` (4, 4), turning about one axis by the shorter way. Raises `ValueError` for a known
+    frame that is not rigid, as `Arc` does."""
 
     start: Float[Array, "4 4"]
     end: Float[Array, "4 4"]
@@ -51,9 +77,9 @@ class Line(Pytree):
         return start[:3, 3] + s * (end[:3, 3] - start[:3, 3]), start[:3, :3] @ rotation_exp(s * turn)
 
 
-class Arc(Pytree):
-    """From `start` (4, 4) by `angle` [rad] around the line through `centre` (3,) along `axis` (3,), as around a stem; the tool
-    turns along, so that it keeps facing the axis, or keeps its rotation (`turning=False`)."""
+class Arc(Path):
+    """An arc from `start` (4, 4) by `angle` [rad] around the line through `centre` (3,) along `axis` (3,), as around a stem.
+    The tool turns along, so that it keeps facing the axis, or keeps its rotation (`turning=False`)."""
 
     start: Float[Array, "4 4"]
     centre: Float[Array, "3"]
@@ -74,13 +100,40 @@ class Arc(Pytree):
         return centre + turn @ (start[:3, 3] - centre), rotation
 
 
-class Curve(Pytree):
-    """Through via points with continuous velocity and acceleration: on each piece a cubic of position, and of the rotation
-    vector from the pose at its beginning. Made by `via`."""
+class Curve(Path):
+    """A curve through poses (k, 4, 4) or positions (k, 3), k >= 2, with continuous velocity and acceleration: each piece is a
+    cubic of position, and of the rotation vector from the pose at its beginning. Its constructor runs on the host.
+
+    The poses are reached at `knots` in proportion to their distances. From each to the next it turns by less than pi, the
+    shorter way, and as far as you like in all. Raises `ValueError` for a pose that is turned by pi from the one before, for
+    another shape, for a frame that is not rigid, and for equal neighbours.
+    """
 
     knots: Float[Array, " k"]
     coefficients: Float[Array, "k1 4 6"]
     rotations: Float[Array, "k1 3 3"]
+
+    def __init__(self, poses: Any) -> None:
+        from scipy.interpolate import CubicSpline
+        from scipy.spatial.transform import Rotation, RotationSpline
+
+        given = _poses(poses)
+        places, rotations = given[:, :3, 3], Rotation.from_matrix(given[:, :3, :3])  # the nearest ones
+        turns = (rotations[:-1].inv() * rotations[1:]).as_rotvec()
+        if np.any(beyond := np.linalg.norm(turns, axis=1) > np.pi - 1e-9):
+            k = int(np.argmax(beyond)) + 1
+            raise ValueError(f"curve: pose {k} is turned by pi from the one before; add one between them, which says which way")
+        away = np.linalg.norm(np.hstack([np.diff(places, axis=0), turns]), axis=1)
+        if not np.all(away > 0.0):
+            k = int(np.argmin(away))
+            raise ValueError(f"curve: points {k} and {k + 1} are equal; leave one out")
+        knots = np.concatenate([[0.0], np.cumsum(away)]) / away.sum()
+        if len(given) > 2:
+            moving, turning = CubicSpline(knots, places, bc_type="natural").c, RotationSpline(knots, rotations).interpolator.c
+        else:
+            moving, turning = (CubicSpline(knots, x, bc_type="clamped").c for x in (places, np.pad(turns, ((1, 0), (0, 0)))))
+        coefficients = np.moveaxis(np.concatenate([moving, turning], axis=2), 0, 1)
+        vars(self).update(knots=knots, coefficients=coefficients, rotations=rotations[:-1].as_matrix())
 
     def pose(self, s: Any) -> Any:
         """Position (3,) and rotation (3, 3) at s."""
@@ -91,7 +144,18 @@ class Curve(Pytree):
         return value[:3], jnp.asarray(self.rotations)[i] @ rotation_exp(value[3:])
 
 
-Path = Line | Arc | Curve
+def _poses(poses: Any) -> np.ndarray:
+    """A curve's poses (k, 4, 4)."""
+    given = numbers("curve: poses", poses)
+    if given.ndim == 2 and given.shape[1] == 3:
+        given = frame(given)
+    if given.ndim != 3 or given.shape[1:] != (4, 4) or len(given) < 2:
+        raise ValueError(f"curve: poses of shape {np.shape(poses)}; allowed: (k, 4, 4) or (k, 3) with k >= 2")
+    valid = is_rigid(given)
+    if not np.all(valid):
+        k = int(np.argmin(valid))
+        raise ValueError(f"curve: pose {k} is no pose; allowed: finite, an orthonormal rotation, last row 0 0 0 1")
+    return given
 
 
 def _check_frames(who: str, **frames: Any) -> None:
@@ -129,7 +193,7 @@ def check_path(who: str, path: Path, duration: Any, rows: tuple[int, ...] = ()) 
     """Raises a `ValueError` of one line, `who` asking, for what is no path, and for a duration, or one for each of `rows`, of
     another shape, or that is known and not positive."""
     if not isinstance(path, Path):
-        raise ValueError(f"{who}: path is {shown(path)}; allowed: a Line, an Arc, what via(poses) makes")
+        raise ValueError(f"{who}: path is {shown(path)}; allowed: a Line, an Arc, a Curve, or another Path")
     for leaf in jax.tree_util.tree_leaves(path):
         if not isinstance(leaf, jax.Array):  # text, of which a compiled program says three pages
             numbers(f"{who}: path", leaf)
@@ -140,71 +204,13 @@ def check_path(who: str, path: Path, duration: Any, rows: tuple[int, ...] = ()) 
         raise ValueError(f"{who}: duration {shown(duration)}; allowed: a positive number of seconds{each}")
 
 
-def via(poses: Any) -> Curve:
-    """The curve through poses (k, 4, 4) or positions (k, 3), k >= 2, reached at times in proportion to their distances. Host.
-
-    From each pose to the next it turns by less than pi, the shorter way, and as far as you like in all. Raises `ValueError` for
-    one that is turned by pi from the one before, for another shape, for what is no pose, and for equal neighbours.
-    """
-    from scipy.interpolate import CubicSpline
-    from scipy.spatial.transform import Rotation, RotationSpline
-
-    given = _via_poses(poses)
-    places, rotations = given[:, :3, 3], Rotation.from_matrix(given[:, :3, :3])  # the nearest ones
-    turns = (rotations[:-1].inv() * rotations[1:]).as_rotvec()
-    if np.any(beyond := np.linalg.norm(turns, axis=1) > np.pi - 1e-9):
-        k = int(np.argmax(beyond)) + 1
-        raise ValueError(f"via: pose {k} is turned by pi from the one before; add one between them, which says which way")
-    away = np.linalg.norm(np.hstack([np.diff(places, axis=0), turns]), axis=1)
-    if not np.all(away > 0.0):
-        raise ValueError(f"via: points {int(np.argmin(away))} and {int(np.argmin(away)) + 1} are equal; leave one out")
-    knots = np.concatenate([[0.0], np.cumsum(away)]) / away.sum()
-    if len(given) > 2:
-        moving, turning = CubicSpline(knots, places, bc_type="natural").c, RotationSpline(knots, rotations).interpolator.c
-    else:
-        moving, turning = (CubicSpline(knots, x, bc_type="clamped").c for x in (places, np.pad(turns, ((1, 0), (0, 0)))))
-    return Curve(knots, np.moveaxis(np.concatenate([moving, turning], axis=2), 0, 1), rotations[:-1].as_matrix())
+def _at_each(path: Path, duration: Any, t: Any) -> TipMotion:
+    """The motion at times of any shape."""
+    return jax.vmap(_at_each, (None, None, 0))(path, duration, t) if t.ndim else _at(path, duration, t)
 
 
-def _via_poses(poses: Any) -> np.ndarray:
-    """(k, 4, 4)"""
-    given = numbers("via: poses", poses)
-    if given.ndim == 2 and given.shape[1] == 3:
-        given = frame(given)
-    if given.ndim != 3 or given.shape[1:] != (4, 4) or len(given) < 2:
-        raise ValueError(f"via: poses of shape {np.shape(poses)}; allowed: (k, 4, 4) or (k, 3) with k >= 2")
-    valid = is_rigid(given)
-    if not np.all(valid):
-        k = int(np.argmin(valid))
-        raise ValueError(f"via: pose {k} is no pose; allowed: finite, an orthonormal rotation, last row 0 0 0 1")
-    return given
-
-
-def motion(path: Path, duration: Any, t: Any) -> Motion:
-    """What `path` asks at time t [s], which may be an array, timed over `duration` > 0 [s]. Traced.
-
-    Raises `ValueError` for a duration that is known not to be, for a path whose arrays have other shapes, and for one whose
-    frames are known and not rigid, or whose axis is no direction; where they are traced, the motion is NaN.
-    """
-    check_path("motion", path, duration)
-    t = as_numbers("motion: t", t)
-    duration = float(duration) if isinstance(duration, int) else duration  # of any size
-    if is_known((path, duration, t)):
-        jax.eval_shape(path.pose, jax.ShapeDtypeStruct((), jnp.result_type(t, float)))  # raises for what is known to be wrong
-        return _compiled(path, duration, t)  # not operation by operation, each of which XLA would compile
-    return _at_each(path, duration, t)
-
-
-def _each(function: Callable[..., Motion]) -> Callable[..., Motion]:
-    """For times of any shape."""
-
-    def run(path: Path, duration: Any, t: Any) -> Motion:
-        return jax.vmap(run, (None, None, 0))(path, duration, t) if t.ndim else function(path, duration, t)
-
-    return run
-
-
-def _motion(path: Path, duration: Any, t: Any) -> Motion:
+@kernel
+def _at(path: Path, duration: Any, t: Any) -> TipMotion:
     x = jnp.clip(t / duration, 0.0, 1.0)
     s = ((6.0 * x - 15.0) * x + 10.0) * x**3
     rate = ((30.0 * x - 60.0) * x + 30.0) * x**2 / duration
@@ -217,10 +223,9 @@ def _motion(path: Path, duration: Any, t: Any) -> Motion:
 
     ((position, rotation), first), (_, second) = jax.jvp(moving, (s,), (jnp.ones_like(s),))
     pose = jnp.block([[rotation, position[:, None]], [jnp.zeros((1, 3)), jnp.ones((1, 1))]]).astype(position.dtype)
-    return Motion(pose, first * rate, second * rate**2 + first * rate_2)
+    return TipMotion(pose, first * rate, second * rate**2 + first * rate_2)
 
 
-_at_each = _each(kernel(_motion))
 _compiled = jax.jit(_at_each)
 
 

@@ -35,7 +35,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
 from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.nullspace import FLOOR, Resolved, loop_gain, resolved_velocity, settles
-from jaxik.motions.path import Motion, Path, check_path, motion
+from jaxik.motions.path import Path, TipMotion, check_path
 from jaxik.optimise import descent, ocp
 from jaxik.reasons import Reasoned
 from jaxik.spmd import kernel
@@ -117,7 +117,7 @@ class Horizon:
         if not (self.dt > 0.0 and settles(self.gain, self.dt)):
             raise ValueError(f"horizon: dt {self.dt}, gain {self.gain}; allowed: dt > 0, 0 <= gain dt < 2")
 
-    def resolve(self, robot: Robot, q: Any, asked: Motion, u: Any, gain: float | None = None) -> Resolved:
+    def resolve(self, robot: Robot, q: Any, asked: TipMotion, u: Any, gain: float | None = None) -> Resolved:
         """`resolve_velocity` with these options; with another `gain` if one is given."""
         gain = loop_gain(self.gain, self.dt) if gain is None else gain
         return resolved_velocity(robot, self.task, self.floor, q, asked, u, gain, self.weights)
@@ -126,7 +126,7 @@ class Horizon:
 class Future(NamedTuple):
     """What is known of the path at each sample: what is asked at the stages of its step, and the time [s]."""
 
-    asked: Motion
+    asked: TipMotion
     time: Any
 
 
@@ -162,16 +162,16 @@ def future(path: Path, duration: Any, horizon: Horizon, start: Any = 0.0) -> Fut
     time = start + horizon.dt * jnp.arange(horizon.count)
     stages = jnp.array([0.0] if horizon.integrator == "euler" else [0.0, 0.5, 1.0])
     times = (time[:, None] + horizon.dt * stages).reshape(-1)
-    each = kernel(lambda path, duration, times: jax.lax.map(lambda t: motion(path, duration, t), times))
+    each = kernel(lambda path, duration, times: jax.lax.map(lambda t: path.at(t, duration), times))
     asked = each(path, jnp.asarray(duration, times.dtype), times)
-    return Future(Motion(*(x.reshape(horizon.count, len(stages), *x.shape[1:]) for x in asked)), time)
+    return Future(TipMotion(*(x.reshape(horizon.count, len(stages), *x.shape[1:]) for x in asked)), time)
 
 
 def problem(robot: Robot, cost: RunningCost, horizon: Horizon, *given: Any, many: bool = False) -> ocp.Problem:
     """The optimal control problem, of one or `many` scenarios; its samples are a `Future`, and what it sees of each is the
     `Resolved`."""
 
-    def field(q: Any, u: Any, asked: Motion) -> tuple[Any, Resolved]:
+    def field(q: Any, u: Any, asked: TipMotion) -> tuple[Any, Resolved]:
         found = horizon.resolve(robot, q, asked, u)
         return found.rate, found
 
@@ -223,8 +223,7 @@ def objective(
 def self_motion(robot: Robot, q: Any, along: Any, ahead: Future, horizon: Horizon, turns: int = 12) -> Any:
     """Where a motion that leaves the tip at the path's start ends: of `qdot = (1 - J# J) along` after 1 s, brought back to the
     path by Newton steps."""
-    pose = ahead.asked.pose[0, 0]
-    asked = Motion(pose, jnp.zeros(6, pose.dtype), jnp.zeros(6, pose.dtype))
+    asked = TipMotion.still(ahead.asked.pose[0, 0])
     turn = lambda q, share: (q + horizon.resolve(robot, q, asked, share * along, 1.0).rate, None)
     shares = jnp.concatenate([jnp.full(turns, 1.0 / turns), jnp.zeros(4)]).astype(q.dtype)
     return kernel(lambda q, shares: jax.lax.scan(turn, q, shares)[0])(q, shares)

@@ -36,7 +36,7 @@ from jaxik.kinematics.forward import forward_kinematics, jacobian
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSE, Task
 from jaxik.motions.nullspace import Box, downhill, resolve_velocity
-from jaxik.motions.path import Motion
+from jaxik.motions.path import TipMotion
 from jaxik.motions.rate_limits import RateLimits
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
@@ -231,7 +231,7 @@ class Teleoperation:
         limits = RateLimits.of(self.robot, acceleration=self.acceleration)
         box = limits.rates(q, before, dt)
         u = downhill(self.robot, q, self.cost, self.alpha)
-        motion = Motion(target, twist, jnp.zeros(6))
+        motion = TipMotion(target, twist, jnp.zeros(6))
         resolve = lambda u: resolve_velocity(self.robot, q, motion, u, self.task, self.gain, box=box).rate
         slower = before - jnp.clip(before, -dt * limits.acceleration, dt * limits.acceleration)
         rate, apart = self._clear(q, u, lambda rate: jnp.where(held, slower, rate), resolve, box)
@@ -248,7 +248,7 @@ class Teleoperation:
         apart, slope = jax.value_and_grad(functools.partial(clearance, self.robot, self.scene))(q)
         least = -self.approach * (apart - self.margin)
         lacks = lambda rate: jnp.maximum(least - slope @ rate, 0.0)
-        still = Motion(forward_kinematics(self.robot, q), jnp.zeros(6), jnp.zeros(6))
+        still = TipMotion.still(forward_kinematics(self.robot, q))
         spare = resolve_velocity(self.robot, q, still, slope, self.task, 0.0).rate
         able = jnp.maximum(slope @ spare, _ABLE * slope @ slope)
         rate = resolve(u + spare * safe_divide(lacks(rate), able))

@@ -37,7 +37,7 @@ from jaxik.estimation.lowpass import Butterworth
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSITION, Task
 from jaxik.motions.nullspace import FLOOR, TaskAt, downhill, inverse_weights, settles
-from jaxik.motions.path import Motion
+from jaxik.motions.path import TipMotion
 from jaxik.motions.rate_limits import RateLimits
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
@@ -174,7 +174,7 @@ class Reaction:
         )
 
     def step(
-        self, state: ReactionState, q: Any, qdot: Any, motion: Motion, contact: PointForce
+        self, state: ReactionState, q: Any, qdot: Any, motion: TipMotion, contact: PointForce
     ) -> tuple[ReactionState, ReactionCommand]:
         """The next command, of joint values and rates (n,), what is asked of the tip, and what is felt: a contact, or as many
         as `contacts` stacked; where nothing touches its force is 0, and its point does not matter. Traced.
@@ -184,8 +184,8 @@ class Reaction:
         """
         q = as_configuration(self.robot, q)
         qdot = as_shaped("reaction: qdot", qdot, q.shape).astype(q.dtype)
-        if not isinstance(motion, Motion):
-            raise ValueError(f"reaction: motion is {shown(motion)}; write what motions.motion gives")
+        if not isinstance(motion, TipMotion):
+            raise ValueError(f"reaction: motion is {shown(motion)}; write what path.at(t, duration) gives")
         contact = PointForce(*(x.astype(q.dtype) for x in as_point_forces("reaction", contact, self.contacts)))
         felt, sure = trusted(self.robot, contact)
         sound = jnp.all(jnp.stack([jnp.all(sure), *(jnp.all(jnp.isfinite(jnp.asarray(x))) for x in (q, qdot, *motion))]))
@@ -198,7 +198,7 @@ class Reaction:
         return choose((after, command), (state._replace(rate=held.rate), held))
 
     def _reacted(
-        self, state: ReactionState, q: Any, qdot: Any, motion: Motion, force: Any
+        self, state: ReactionState, q: Any, qdot: Any, motion: TipMotion, force: Any
     ) -> tuple[ReactionState, ReactionCommand]:
         state = self._pressed(state, q, qdot, force)
         filtered, force = self._filtered(state.filter, force)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxik.checks.options import check_kind
 from jaxik.dynamics.point_force import PointForce
 from jaxik.kinematics.forward import as_posture
-from jaxik.motions.path import Motion
+from jaxik.motions.path import TipMotion
 from jaxik.spmd.packed_step import Packed, PackedStep
 from jaxik.touch.reaction import Reaction, ReactionCommand
 
@@ -37,7 +37,7 @@ class ReactionLoop:
         with jax.enable_x64(True):
             return self._step.packed(self.reaction.init(q))
 
-    def step(self, state: Packed, q: Any, qdot: Any, motion: Motion, contact: PointForce) -> tuple[Packed, ReactionCommand]:
+    def step(self, state: Packed, q: Any, qdot: Any, motion: TipMotion, contact: PointForce) -> tuple[Packed, ReactionCommand]:
         """The state and the command after a sample; the given state stays as it is. Raises `ValueError` for other shapes;
         numbers that are none hold the arm still, with a reason."""
         return self._step(state, q, qdot, motion, contact)
@@ -45,7 +45,7 @@ class ReactionLoop:
     @functools.cached_property
     def _step(self) -> PackedStep:
         n, k = self.reaction.robot.num_joints, self.reaction.contacts
-        none, still = np.zeros(n), Motion(np.eye(4), np.zeros(6), np.zeros(6))
+        none, still = np.zeros(n), TipMotion(np.eye(4), np.zeros(6), np.zeros(6))
         contact = PointForce(np.zeros(k), np.zeros((k, 3)), np.zeros((k, 3)))
         with jax.enable_x64(True):
             return PackedStep("reaction loop", self.reaction.step, self.reaction.init(none), none, none, still, contact)

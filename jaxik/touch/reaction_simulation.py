@@ -17,7 +17,7 @@ from jaxik.checks.arrays import Array, as_numbers
 from jaxik.checks.options import as_count, check_kind
 from jaxik.dynamics.point_force import PointForce, check_joint, material_point, point_jacobian
 from jaxik.kinematics.robot import Robot, as_configuration
-from jaxik.motions.path import Path, check_path, motion
+from jaxik.motions.path import Path, check_path
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
 from jaxik.spatial.algebra import safe_sqrt
@@ -63,7 +63,7 @@ def simulate_reaction(
 
     One encounter for each of the reaction's contacts. Without a `sensor` each true force is shown; `noise` (steps,) is the
     sensor's, of unit variance. While the arm is held still, so is the path's clock. Raises `ValueError` for another number of
-    encounters, and what `motions.motion` raises.
+    encounters, and what `Path.at` raises.
     """
     check_kind("simulate_reaction", "reaction", reaction, Reaction)
     check_kind("simulate_reaction", "sensor", sensor, TouchSensor, optional=True)
@@ -91,7 +91,7 @@ def _simulation(reaction: Reaction, sensor: TouchSensor | None) -> Any:
         q, rate, time, known, shown = state
         true = PointForce(*map(jnp.stack, zip(*(_touched(robot, q, rate, each) for each in met), strict=True)))
         shown, felt = (shown, true) if sensor is None else sensor.step(shown, robot, q, true, noise)
-        known, command = reaction.step(known, q, rate, motion(path, duration, time), felt)
+        known, command = reaction.step(known, q, rate, path.at(time, duration), felt)
         force = safe_sqrt(jnp.sum(true.force**2))
         sample = Reacted(q, command.rate, force, command.force, command.stiffness, command.error, command.reason)
         time = time + jnp.where(command.reason == int(Reason.SOLVED), dt, 0.0)

@@ -137,7 +137,7 @@ LINE = jaxik.motions.Line(np.eye(4), np.eye(4))
 MIRRORED, SCALED = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([2.0, 2.0, 2.0, 1.0])
 HORIZON = jaxik.motions.Horizon(0.1, 2, task=XY)
 COST = jaxik.motions.quadratic_cost()
-NOW = jaxik.motions.motion(LINE, 1.0, 0.5)
+NOW = LINE.at(0.5, 1.0)
 ZEROS = np.zeros(2)
 
 
@@ -175,10 +175,10 @@ def test_a_path_of_no_rigid_frame(frame):
     refused("line: end is no rigid frame", jaxik.motions.Line, np.eye(4), frame)
     refused("arc: start is no rigid frame", jaxik.motions.Arc, frame, np.zeros(3), np.ones(3), 1.0)
     line = eqx.tree_at(lambda path: path.end, LINE, frame)
-    refused("line: end", jaxik.motions.motion, line, 1.0, 0.5)
+    refused("line: end", line.at, 0.5, 1.0)
     moved = jaxik.follow(ARM, line, 0.2, ZEROS + 0.1, dt=0.1, task=XY)
     assert moved.reason == jaxik.Reason.INVALID
-    traced = jax.jit(lambda path: jaxik.motions.motion(path, 1.0, 1.0).pose)
+    traced = jax.jit(lambda path: path.at(1.0, 1.0).pose)
     assert not np.isfinite(traced(line)).any(axis=1)[:3].any()
     assert np.array_equal(traced(LINE), np.eye(4))
 
@@ -189,12 +189,12 @@ def test_a_curve_through_no_pose(entry):
     poses = np.stack([np.eye(4)] * 2)
     poses[1, :2, :2], poses[1, :3, 3] = [[0.8, -0.6], [0.6, 0.8]], 1.0
     poses[1, 0, 0] = entry
-    refused("via: pose 1 is no pose", jaxik.motions.via, poses)
+    refused("curve: pose 1 is no pose", jaxik.motions.Curve, poses)
 
 
 def test_an_arc_about_no_axis():
     for axis in (np.zeros(3), [np.nan, 0.0, 1.0]):
-        refused("arc: axis", jaxik.motions.motion, jaxik.motions.Arc(np.eye(4), np.zeros(3), axis, 1.0), 1.0, 0.5)
+        refused("arc: axis", jaxik.motions.Arc(np.eye(4), np.zeros(3), axis, 1.0).at, 0.5, 1.0)
 
 
 @cheap

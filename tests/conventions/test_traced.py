@@ -22,7 +22,7 @@ ARM, UR = jaxik.load("crops_v2"), jaxik.load("ur5e")  # nine joints with bodies 
 Q = jnp.linspace(0.1, 0.5, 9)
 POSE = jnp.asarray(jaxik.pose([0.3, 0.2, 0.4]))
 SCENE = jaxik.make_scene(spheres=[[0.5, 0.1, 0.4, 0.1]], boxes=[[0.5, 0.5, 0.5, 0.1, 0.1, 0.1]])
-MOTION = motions.path.Motion(POSE, jnp.zeros(6), jnp.zeros(6))
+MOTION = motions.TipMotion(POSE, jnp.zeros(6), jnp.zeros(6))
 TOUCH = dynamics.PointForce(3, jnp.array([0.1, 0.0, 0.2]), jnp.array([1.0, 2.0, 3.0]))
 V, P2 = jnp.array([0.1, 0.2, 0.3]), jnp.ones((2, 2, 3))
 HOLD = lambda q: jnp.sum(q * q)
@@ -47,7 +47,6 @@ CALLS = {  # name -> (function of arrays, arrays)
     "ik.descend": (lambda q: ik.descend(ARM, POSE, q), Q),
     "ik.implicit_ik": (lambda pose, q: ik.implicit_ik(UR, pose, q), POSE, Q[:6]),
     "motions.asc": (lambda q: motions.asc(ARM, q, MOTION, HOLD), Q),
-    "motions.motion": (lambda t: motions.motion(motions.Line(POSE, POSE.at[0, 3].add(0.1)), 1.0, t), jnp.linspace(0, 1, 9)),
     "motions.rac": (lambda q: motions.rac(ARM, q, q, MOTION, HOLD), Q),
     "motions.resolve_acceleration": (lambda q: motions.resolve_acceleration(ARM, q, q, MOTION, q), Q),
     "motions.resolve_velocity": (lambda q: motions.resolve_velocity(ARM, q, MOTION, q), Q),
@@ -76,6 +75,9 @@ CALLS = {  # name -> (function of arrays, arrays)
     "dynamics.wrench_on": (lambda q: dynamics.wrench_on(ARM, q, ARM.link_names[-1], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]), Q),
     "spatial.rotation_exp": (spatial.rotation_exp, V),
     "spatial.rotation_log": (spatial.rotation_log, POSE[:3, :3]),
+}
+METHODS = {
+    "motions.Path.at": (lambda t: motions.Line(POSE, POSE.at[0, 3].add(0.1)).at(t, 1.0), jnp.linspace(0, 1, 9)),
 }
 # what is no function of a moment: descents, searches, equations of optimality, simulations; and what makes a cost or a robot
 LONGER = {
@@ -111,8 +113,8 @@ def unmade(monkeypatch):
     monkeypatch.setattr(call, "made", lambda traced, shared: call.Made("unmade", None, 8, 1))
 
 
-@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.parametrize("name", CALLS | METHODS)
 def test_it_is_a_few_kernels(name, unmade):
-    function, *arrays = CALLS[name]
+    function, *arrays = (CALLS | METHODS)[name]
     lines = jax.jit(function).lower(*map(np.asarray, arrays)).as_text().count("\n")
     assert lines < MOST, f"{name} is {lines} lines"

@@ -15,7 +15,7 @@ import jaxik
 from jaxik.dynamics.recursions import inverse_dynamics, mass_matrix
 from jaxik.kinematics.robot import Body
 from jaxik.motions.nullspace import Box, asc, rac, resolve_velocity, rmrc
-from jaxik.motions.path import Arc, Line, Motion, motion, via
+from jaxik.motions.path import Arc, Curve, Line, TipMotion
 from jaxik.motions.predictive import Horizon, energy_cost, future, multistart, objective, predict, problem, quadratic_cost
 from jaxik.optimise import ilqr, ocp
 from jaxik.optimise.descent import QUASI_NEWTON, Descent
@@ -65,10 +65,10 @@ def test_velocity_and_acceleration_are_the_derivatives(kind):
         "line": lambda: Line(given[0], given[1]),
         "arc": lambda: Arc(given[0], np.array([0.3, 0.2, 0.1]), np.array([0.1, 0.2, 2.0]), 1.7),
         "stem": lambda: Arc(given[0], np.array([0.3, 0.2, 0.1]), np.array([0.0, 0.0, 1.0]), -1.0, turning=False),
-        "via": lambda: via(given),
-        "points": lambda: via(given[:, :3, 3]),
+        "via": lambda: Curve(given),
+        "points": lambda: Curve(given[:, :3, 3]),
     }[kind]()
-    at, step = jax.jit(lambda t: motion(path, 3.0, t)), 1e-5
+    at, step = jax.jit(lambda t: path.at(t, 3.0)), 1e-5
     for t in (0.0, 0.7, 1.4, 2.9, 3.0):
         here, before, after = (jax.tree_util.tree_map(np.asarray, at(t + s * step)) for s in (0, -1, 1))
         linear = (after.pose[:3, 3] - before.pose[:3, 3]) / (2 * step)
@@ -95,21 +95,21 @@ def turned(*degrees):
 @pytest.mark.parametrize(
     ("poses", "words"),
     [
-        (np.zeros((1, 3)), "via: poses of shape \\(1, 3\\); allowed: .* k >= 2"),
-        ([[0.0, 0.0, 0.0], [1.0, 1.0]], "via: poses: list that is no array of numbers"),
-        (np.zeros((3, 3)), "via: points 0 and 1 are equal; leave one out"),
-        ([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [np.nan, 0.0, 0.0]], "via: pose 2 is no pose; .*finite"),
-        ([[0.0, 0.0, 0.0], [np.inf, 0.0, 0.0]], "via: pose 1 is no pose; .*finite"),
-        (turned(0, 10) * np.array([2.0, 2.0, 2.0, 1.0]), "via: pose 0 is no pose; .*orthonormal"),
-        (turned(0, 10) * np.array([1.0, 1.0, -1.0, 1.0]), "via: pose 0 is no pose; .*orthonormal"),
-        (turned(0, 10) * np.array([[1.0], [1.0], [1.0], [2.0]]), "via: pose 0 is no pose"),
-        (turned(0, 180), "via: pose 1 is turned by pi from the one before; add one between"),
-        (turned(0, -100, -280), "via: pose 2 is turned by pi from the one before; add one between"),
+        (np.zeros((1, 3)), "curve: poses of shape \\(1, 3\\); allowed: .* k >= 2"),
+        ([[0.0, 0.0, 0.0], [1.0, 1.0]], "curve: poses: list that is no array of numbers"),
+        (np.zeros((3, 3)), "curve: points 0 and 1 are equal; leave one out"),
+        ([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [np.nan, 0.0, 0.0]], "curve: pose 2 is no pose; .*finite"),
+        ([[0.0, 0.0, 0.0], [np.inf, 0.0, 0.0]], "curve: pose 1 is no pose; .*finite"),
+        (turned(0, 10) * np.array([2.0, 2.0, 2.0, 1.0]), "curve: pose 0 is no pose; .*orthonormal"),
+        (turned(0, 10) * np.array([1.0, 1.0, -1.0, 1.0]), "curve: pose 0 is no pose; .*orthonormal"),
+        (turned(0, 10) * np.array([[1.0], [1.0], [1.0], [2.0]]), "curve: pose 0 is no pose"),
+        (turned(0, 180), "curve: pose 1 is turned by pi from the one before; add one between"),
+        (turned(0, -100, -280), "curve: pose 2 is turned by pi from the one before; add one between"),
     ],
 )
 def test_a_curve_refuses_what_it_cannot_go_through(poses, words):
     with pytest.raises(ValueError, match=words) as refused:
-        via(poses)
+        Curve(poses)
     assert "\n" not in str(refused.value)
 
 
@@ -117,10 +117,10 @@ def test_a_curve_refuses_what_it_cannot_go_through(poses, words):
 def test_a_curve_turns_as_far_as_it_is_asked(degrees):
     """Through each pose, and nowhere back."""
     given = turned(*degrees)
-    path, sign = via(given), np.sign(degrees[1])
+    path, sign = Curve(given), np.sign(degrees[1])
     through = np.asarray([jax.jit(path.pose)(s)[1] for s in path.knots])
     np.testing.assert_allclose(through, given[:, :3, :3], atol=1e-12)
-    turns = [pin.log3(np.asarray(p)[:3, :3])[2] for p in motion(path, 3.0, np.linspace(0.0, 3.0, 100)).pose]
+    turns = [pin.log3(np.asarray(p)[:3, :3])[2] for p in path.at(np.linspace(0.0, 3.0, 100), 3.0).pose]
     along = np.degrees(np.unwrap(turns))
     assert np.all(sign * np.diff(along) > -1e-9) and along[-1] - along[0] == pytest.approx(degrees[-1])
 
@@ -130,8 +130,8 @@ def test_a_curve_is_smooth_where_its_pieces_meet():
     given = poses(6)
     for k in range(1, 6):
         given[k, :3, :3] = given[k - 1, :3, :3] @ pin.exp3(2.0 * np.roll([1.0, 0.3, 0.0], k))
-    path, x = via(given), np.linspace(0.0, 1.0, 10**6)
-    at = jax.jit(lambda t: motion(path, 1.0, t))
+    path, x = Curve(given), np.linspace(0.0, 1.0, 10**6)
+    at = jax.jit(lambda t: path.at(t, 1.0))
     for knot, time in enumerate(np.interp(path.knots, ((6.0 * x - 15.0) * x + 10.0) * x**3, x)[1:-1], 1):
         before, here, after = (at(time + by) for by in (-1e-8, 0.0, 1e-8))
         np.testing.assert_allclose(here.pose, given[knot], atol=1e-6)
@@ -161,14 +161,14 @@ def test_a_curve_is_smooth_where_its_pieces_meet():
 def test_a_path_of_another_shape_is_refused(path, name, value, words):
     path = eqx.tree_at(lambda p: getattr(p, name), path, value)  # as without the types that tests check
     with pytest.raises(ValueError, match=words):
-        motion(path, 1.0, 0.5)
+        path.at(0.5, 1.0)
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, np.nan, np.inf])
 def test_a_path_takes_time(duration, pendulum, line):
     """It stood still for a negative one, without a word."""
     horizon = Horizon(0.1, 20, task=IN_PLANE, descend=Descent(iterations=5))
-    calls = [lambda: motion(line, duration, 0.5), lambda: predict(pendulum, line, duration, START, quadratic_cost(), horizon)]
+    calls = [lambda: line.at(0.5, duration), lambda: predict(pendulum, line, duration, START, quadratic_cost(), horizon)]
     for call in calls:
         with pytest.raises(ValueError, match=r"duration .*; allowed: a positive number of seconds"):
             call()
@@ -180,7 +180,7 @@ def test_rates_are_the_pseudoinverse(panda):
     path = Line(*poses(2))
     follow = jax.jit(lambda q, m, u: resolve_velocity(panda, q, m, u, gain=0.0))
     weighted = jax.jit(lambda q, m: rmrc(panda, q, m, gain=0.0, weights=np.arange(1.0, 8.0)))
-    asked = motion(path, 2.0, 0.8)
+    asked = path.at(0.8, 2.0)
     for _ in range(10):
         q = rng.uniform(panda.lower, panda.upper)
         step = 1e-6
@@ -208,7 +208,7 @@ def test_the_task_comes_before_the_null_space_within_bounds(pendulum):
     twist = np.pad(0.3 * rng.normal(size=(300, 2)), ((0, 0), (0, 4)))
 
     def rate(q, twist, u):
-        moment = Motion(jaxik.forward_kinematics(pendulum, q), twist, jnp.zeros(6))
+        moment = TipMotion(jaxik.forward_kinematics(pendulum, q), twist, jnp.zeros(6))
         return resolve_velocity(pendulum, q, moment, u, IN_PLANE, box=Box(-bound, bound)).rate
 
     found = np.asarray(jax.jit(jax.vmap(rate))(q, twist, u))
@@ -224,7 +224,7 @@ def test_at_a_singularity_rates_stay_bounded_and_it_is_said(pendulum):
     pose = np.asarray(jaxik.forward_kinematics(pendulum, straight))
     further = pose.copy()
     further[1, 3] += 1.0  # beyond the reach
-    asked = motion(Line(pose, further), 1.0, 0.5)
+    asked = Line(pose, further).at(0.5, 1.0)
     found = jax.jit(lambda q: rmrc(pendulum, q, asked, task=IN_PLANE))(straight)
     assert found.damping > 0.0 and np.all(np.isfinite(found.rate)) and np.abs(found.rate).max() < 1e3
 
@@ -234,7 +234,7 @@ def test_instantaneous_costs_of_the_thesis(pendulum, line):
     cost = near_obstacle(pendulum)
 
     def step(q, t):
-        rate = asc(pendulum, q, motion(line, 4.0, t), cost, alpha=50.0, task=IN_PLANE).rate
+        rate = asc(pendulum, q, line.at(t, 4.0), cost, alpha=50.0, task=IN_PLANE).rate
         return q + 0.04 * rate, (jnp.sum(rate**2), 500.0 * cost(q), q)
 
     _, (speed, collision, q) = jax.jit(lambda: jax.lax.scan(step, jnp.asarray(START), 0.04 * jnp.arange(100.0)))()
@@ -257,7 +257,7 @@ def test_accelerations_follow_without_drift(panda):
 
         def step(k, state):
             q, qdot, worst = state
-            found = rac(panda, q, qdot, motion(path, 1.0, dt * k), cost, damping=5.0, gains=gains)
+            found = rac(panda, q, qdot, path.at(dt * k, 1.0), cost, damping=5.0, gains=gains)
             after = q + dt * qdot + 0.5 * dt**2 * found.rate, qdot + dt * found.rate
             return *after, jnp.maximum(worst, jnp.abs(found.error).max())
 

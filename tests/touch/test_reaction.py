@@ -10,7 +10,7 @@ import pytest
 import jaxik
 from jaxik.dynamics import PointForce, material_point
 from jaxik.estimation import Butterworth
-from jaxik.motions import Line, motion
+from jaxik.motions import Line
 from jaxik.reasons import Reason
 from jaxik.touch import (
     Encounter,
@@ -34,7 +34,7 @@ NORMAL = np.array([1.0, 0.3, 0.0]) / np.hypot(1.0, 0.3)
 WALL = SpringContact(AT + 0.1 * NORMAL, NORMAL, 60.0)  # 6 N at the start
 BARE = dict(task=TASK, threshold=0.0, filter=None, limits=False, rate=1e6, dt=5e-4, gain=5.0)
 MET = Encounter(WALL, 2, ELBOW)
-ASKED = motion(PATH, 6.0, 0.0)
+ASKED = PATH.at(0.0, 6.0)
 FELT = PointForce(2, AT, np.array([1.0, 0.0, 0.0]))
 
 
@@ -102,7 +102,7 @@ STATES = np.random.default_rng(0).uniform(-1.2, 1.2, (8, 4))
 @pytest.mark.parametrize("scheme", ["rmrc", "feedback", "rac"])
 def test_the_task_does_not_feel_a_reaction_in_the_null_space(scheme):
     reaction = Reaction(ARM, scheme, task=TASK, filter=None, limits=False)
-    motion = jaxik.motions.motion(PATH, 6.0, 2.0)
+    motion = PATH.at(2.0, 6.0)
 
     @jax.jit
     @jax.vmap
@@ -119,7 +119,7 @@ def test_the_task_does_not_feel_a_reaction_in_the_null_space(scheme):
 
 def test_saturation_keeps_the_task():
     reaction = Reaction(ARM, "rmrc", task=TASK, filter=None, limits=False, scale=100.0, rate=0.5)
-    point, motion = material_point(ARM, Q, 2, ELBOW), jaxik.motions.motion(PATH, 6.0, 0.0)
+    point, motion = material_point(ARM, Q, 2, ELBOW), PATH.at(0.0, 6.0)
     _, command = jax.jit(reaction.step)(reaction.init(Q), Q, jnp.zeros(4), motion, PointForce(2, point, 8.0 * NORMAL))
     assert np.abs(command.rate).max() == pytest.approx(0.5)
     np.testing.assert_allclose(jaxik.jacobian(ARM, Q)[:2] @ command.rate, 0.0, atol=1e-10)
@@ -199,7 +199,7 @@ def test_a_loop_is_what_a_simulation_is(monkeypatch):
     monkeypatch.setattr(jaxik.spmd.packed_step, "_by_xla", None)  # it has a kernel
     reaction = Reaction(ARM, "multi", task=TASK)
     expected = simulated(reaction, 4)
-    loop, motions = ReactionLoop(reaction), jaxik.motions.motion(PATH, 6.0, 1e-3 * np.arange(4))
+    loop, motions = ReactionLoop(reaction), PATH.at(1e-3 * np.arange(4), 6.0)
     state, rate = loop.start(Q), np.zeros(4)
     for k in range(4):
         point = np.asarray(material_point(ARM, expected.q[k], 2, ELBOW))
@@ -225,7 +225,7 @@ def test_a_loop_is_what_a_simulation_is(monkeypatch):
         (lambda: Reaction(ARM, gain=3000.0), "gain 3000 at dt 0.001 s; allowed: below 2 / dt"),
         (lambda: Reaction(ARM, dt=0.1), "cutoff 10 Hz at dt 0.1 s; allowed"),
         (lambda: Reaction(ARM, limits="no"), "limits is no; allowed: True, False"),
-        (lambda: Reaction(ARM).step(None, Q, Q, None, FELT), "motion is None; write what motions.motion gives"),
+        (lambda: Reaction(ARM).step(None, Q, Q, None, FELT), r"motion is None; write what path.at\(t, duration\) gives"),
         (lambda: Reaction(ARM).step(None, Q, Q, ASKED, None), "contact is None; write a jaxik.dynamics.PointForce"),
         (lambda: Reaction(ARM, weights=(1.0, 2.0)), "weights has 2 numbers; pendulum4 has 4 joints"),
         (lambda: Reaction(ARM, contacts=0), "contacts is 0; allowed: a count"),
