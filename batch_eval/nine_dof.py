@@ -15,12 +15,12 @@ from typing import Any
 import jax
 import numpy as np
 from panda import pose_of
+from papers.baselines import global_search, newton_ik
+from papers.harvest_costs import box_penalty, link_circles
 from race import machine
 
 import jaxik
-from jaxik.costs import box_penalty
 from jaxik.harvesting.crop import TRELLIS_TARGETS, trellis_crop
-from jaxik.ik.baselines import global_search, newton_ik
 
 PAPER_SECONDS = 54.0
 TASK = jaxik.Task.position()
@@ -45,7 +45,7 @@ def boxes_of(scene: jaxik.Scene) -> tuple[np.ndarray, np.ndarray]:
 def solve(robot: jaxik.Robot) -> list[dict[str, Any]]:
     """All targets of the text, each in its crop without the fruit itself."""
     pose, rows = pose_of(robot), []
-    penalty = jax.jit(lambda q, low, high: box_penalty(jaxik.collision.link_circles(robot, q), low, high, 1.0))
+    penalty = jax.jit(lambda q, low, high: box_penalty(link_circles(robot, q), low, high, 1.0))
     for crop, targets in TRELLIS_TARGETS.items():
         scene = trellis_crop(crop)
         for i, target in enumerate(np.array(targets, np.float64) / 100.0):

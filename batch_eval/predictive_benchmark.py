@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 import pendulum
 import self_collision as case
+from papers.boundary_problem import boundary_value
 from race import machine
 
 import jaxik
@@ -160,7 +161,7 @@ def optimum() -> dict[str, Any]:
     solve = jax.jit(lambda w: ilqr.solve(control, (jnp.asarray(pendulum.START), jnp.zeros(4)), w, ahead).run.total)
     second = float(solve(jnp.asarray(guess)))
     print("ilqr", second, flush=True)
-    reference = jaxik.motions.boundary_value(arm, path, 4.0, pendulum.START, cost, fine, quasi)
+    reference = boundary_value(arm, path, 4.0, pendulum.START, cost, fine, guess=quasi)
     totals = {
         "quasi_newton": float(quasi.total),
         "conjugate_gradients": float(conjugate.total),

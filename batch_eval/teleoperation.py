@@ -56,7 +56,7 @@ def arm() -> jaxik.Robot:
 
 
 def cost(q: Any) -> Any:
-    return jaxik.costs.comfort_and_limit_cost(arm(), q)
+    return jaxik.costs.joint_limit_cost(arm(), q) + 0.1 * jaxik.costs.comfort_cost(arm(), q)
 
 
 def teleoperation(**options: Any) -> Teleoperation:

@@ -19,6 +19,15 @@ from jaxik.checks.arrays import Array
 from jaxik.checks.options import shown
 from jaxik.kinematics.robot import Robot, as_configuration
 
+__all__ = [
+    "collision_cost",
+    "comfort_cost",
+    "damping_cost",
+    "joint_limit_cost",
+    "joint_limit_margin",
+    "weighted_sum",
+]
+
 Cost = Callable[[Any], Any]
 
 
@@ -37,52 +46,19 @@ def check_cost(who: str, cost: Cost, n: int) -> None:
         raise ValueError(f"{who}: the cost gives {gave}; it is a function of q ({n},) that gives one float, of shape ()")
 
 
-def position_cost(position: Float[Array, "3"], target: Float[Array, "3"]) -> Float[Array, ""]:
-    """`J_pos = |p_target - p|^2` [m2]. Source: Van Henten et al. 2010, (4); the sum of squares, as 9-DOF paper (6) has it."""
-    return jnp.sum((jnp.asarray(target) - jnp.asarray(position)) ** 2)
+def collision_cost(
+    clearance: Float[Array, "*b"] | float, activation: float, maximum: float = 1.0, *, order: int = 3
+) -> Float[Array, "*b"]:
+    """`H_coll = H_max ((d_a - d) / d_a)^order` for `d < d_a`, else 0: `maximum` at d = 0, and more in depth. Traced.
 
-
-def harvest_orientation_cost(rotation: Float[Array, "3 3"]) -> Float[Array, ""]:
-    """`J_ori = r11^2 + r21^2 + (1 + r31)^2 + r32^2 + r33^2`: 0 where the tool's x-axis is the base's -z.
-
-    Source: Van Henten et al. 2010, (5). The rotation about base z stays free.
+    `clearance` d and `activation` d_a in metres. Order 3 is twice continuously differentiable in d [Schuetz 2017,
+    (4.31)]; order 1 is linear, as `J_dist` of Van Henten et al. 2010, (6), is outside of contact, with d_a = 0.075 m.
     """
-    r = jnp.asarray(rotation)
-    return r[0, 0] ** 2 + r[1, 0] ** 2 + (1.0 + r[2, 0]) ** 2 + r[2, 1] ** 2 + r[2, 2] ** 2
-
-
-def proximity_penalty(clearance: Float[Array, ""] | float, reach: float = 0.075) -> Float[Array, ""]:
-    """`J_dist` = 1 in contact, falling linearly to 0 at `reach` [m]. Source: Van Henten et al. 2010, (6)."""
-    return jnp.clip(1.0 - jnp.asarray(clearance) / reach, 0.0, 1.0)
-
-
-def collision_cost(clearance: Float[Array, "*b"] | float, activation: float, maximum: float = 1.0) -> Float[Array, "*b"]:
-    """`H_coll = s0/3 (d_a - d)^3` for `d < d_a`, else 0, with `s0 = 3 H_max / d_a^3`: `maximum` at d = 0.
-
-    `clearance` and `activation` in metres. Twice continuously differentiable in d. Source: Schuetz 2017, (4.31).
-    """
-    return maximum * (jnp.maximum(activation - jnp.asarray(clearance), 0.0) / activation) ** 3
-
-
-def box_penalty(
-    points: Float[Array, "p 3"], lower: Float[Array, "b 3"], upper: Float[Array, "b 3"], penalty: float = 100.0
-) -> Float[Array, ""]:
-    """`sum_i C_i`: `penalty` for each axis-parallel box that holds at least one of the points [m].
-
-    Source: IJE 2022, table 3 and (7). Constant where it is not 0, so its gradient is 0: for search, not for descent.
-    """
-    p = jnp.asarray(points)[:, None]
-    inside = jnp.all((p >= jnp.asarray(lower)) & (p <= jnp.asarray(upper)), axis=-1)
-    return penalty * jnp.sum(jnp.any(inside, axis=0), dtype=p.dtype)
-
-
-def bounding_box(points: Float[Array, "p 3"]) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-    """The extreme coordinates of a set of points: the box that IJE 2022, sec. 3 puts around an obstacle [m]."""
-    return jnp.min(jnp.asarray(points), axis=0), jnp.max(jnp.asarray(points), axis=0)
+    return maximum * (jnp.maximum(activation - jnp.asarray(clearance), 0.0) / activation) ** order
 
 
 def comfort_cost(robot: Robot, q: Float[Array, " n"], comfort: Float[Array, " n"] | None = None) -> Float[Array, ""]:
-    """`H_cmf = 1/2 sum (q_i - q_cmf,i)^2 / (q_max,i - q_min,i)^2`, `comfort` being the middle of the range unless given.
+    """`H_cmf = 1/2 sum (q_i - q_cmf,i)^2 / (q_max,i - q_min,i)^2`, `comfort` is the middle of the range unless given. Traced.
 
     A joint without limits has a range of 2 pi about 0. Source: Schuetz 2017, (4.25).
     """
@@ -93,7 +69,7 @@ def comfort_cost(robot: Robot, q: Float[Array, " n"], comfort: Float[Array, " n"
 
 
 def joint_limit_cost(robot: Robot, q: Float[Array, " n"], soft: float = 0.1, order: int = 3) -> Float[Array, ""]:
-    """`H_jla = sum ((q_i - q_soft,i) / (q_lim,i - q_soft,i))^order` beyond the soft limits: 0 there, 1 at the limits.
+    """`H_jla = sum ((q_i - q_soft,i) / (q_lim,i - q_soft,i))^order` beyond the soft limits: 0 there, 1 at the limits. Traced.
 
     The soft limits lie inside the hard ones by the share `soft` of the range. Order 3 keeps accelerations continuous. Joints
     without limits cost nothing. Source: Schuetz 2017, (4.27), (4.28).
@@ -107,25 +83,18 @@ def joint_limit_cost(robot: Robot, q: Float[Array, " n"], soft: float = 0.1, ord
     return jnp.sum(jnp.where(limited, below**order + above**order, 0.0))
 
 
-def comfort_and_limit_cost(
-    robot: Robot, q: Float[Array, " n"], comfort_weight: float = 0.1, soft: float = 0.1, order: int = 3
-) -> Float[Array, ""]:
-    """`H_cmf' = H_jla + zeta_cmf H_cmf`. Source: Schuetz 2017, (4.30)."""
-    return joint_limit_cost(robot, q, soft, order) + comfort_weight * comfort_cost(robot, q)
-
-
 def damping_cost(qdot: Float[Array, " n"]) -> Float[Array, ""]:
-    """`H_dmp = qdot' qdot`. Source: Schuetz 2017, (4.23)."""
+    """`H_dmp = qdot' qdot`. Traced. Source: Schuetz 2017, (4.23)."""
     return jnp.sum(jnp.asarray(qdot) ** 2)
 
 
 def weighted_sum(terms: Sequence[tuple[float, Cost]]) -> Cost:
-    """`H(q) = sum zeta_i H_i(q)`. Source: Schuetz 2017, (4.24)."""
+    """`H(q) = sum zeta_i H_i(q)`, a cost to be traced. Host. Source: Schuetz 2017, (4.24)."""
     return lambda q: sum((weight * cost(q) for weight, cost in terms), start=jnp.zeros(()))
 
 
 def joint_limit_margin(robot: Robot, q: Float[Array, " n"]) -> Float[Array, ""]:
-    """The least free joint's distance to its nearest limit, as a share of half its range: 1 in the middle, 0 at a limit.
+    """The least free joint's distance to its nearest limit, as a share of half its range: 1 in the middle, 0 at one. Traced.
 
     The "freedom in the rotations" that Van Henten et al. 2010, sec. 4.1 rank postures by, over the revolute joints; a joint
     without limits is free.

@@ -3,7 +3,6 @@
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from robots import joint_range
@@ -20,17 +19,6 @@ def _gradient_is_numeric(cost, q, tolerance=1e-7, step=1e-6):
     assert np.allclose(jax.jacfwd(cost)(q), jax.jacrev(cost)(q), rtol=1e-12, atol=1e-14)
 
 
-def test_harvest_costs_are_those_of_the_paper():
-    down = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])  # the tool's x along the base's -z
-    assert costs.harvest_orientation_cost(down) == 0.0
-    yaw = np.array([[np.cos(0.7), -np.sin(0.7), 0.0], [np.sin(0.7), np.cos(0.7), 0.0], [0.0, 0.0, 1.0]])
-    assert abs(costs.harvest_orientation_cost(yaw @ down)) <= 1e-30  # free about the vertical
-    assert costs.harvest_orientation_cost(np.eye(3)) == 3.0  # 1 + 0 + (1 + 0)^2 + 0 + 1
-    assert costs.position_cost(np.array([1.0, 2.0, 3.0]), np.array([1.0, 0.0, 0.0])) == 13.0
-    values = [float(costs.proximity_penalty(d)) for d in (-0.01, 0.0, 0.0375, 0.075, 1.0)]
-    assert np.allclose(values, (1.0, 1.0, 0.5, 0.0, 0.0), atol=1e-15)
-
-
 def test_collision_cost_is_twice_smooth():
     cost = partial(costs.collision_cost, activation=0.1, maximum=4.0)
     assert cost(0.0) == 4.0 and cost(0.1) == 0.0 and cost(0.2) == 0.0
@@ -39,13 +27,19 @@ def test_collision_cost_is_twice_smooth():
     assert abs(slope(0.04) + s0 * 0.06**2) <= 1e-9 and slope(0.1) == 0.0 and bend(0.1) == 0.0
 
 
+def test_collision_cost_of_first_order_is_linear():
+    """(6) of Van Henten et al. 2010, outside of contact."""
+    values = [float(costs.collision_cost(d, 0.075, order=1)) for d in (0.0, 0.0375, 0.075, 1.0)]
+    assert np.allclose(values, (1.0, 0.5, 0.0, 0.0), atol=1e-15)
+
+
 @pytest.mark.parametrize("name", ["p6r", "crops_v2", "chembuly9", "pendulum4"])
 def test_joint_costs_have_the_analytic_derivative(name):
     robot = jaxik.load(name)
     rng = np.random.default_rng(0)
     lower, upper = joint_range(robot)
     for q in rng.uniform(lower, upper, (5, robot.num_joints)):
-        for cost in (costs.comfort_cost, costs.joint_limit_cost, costs.comfort_and_limit_cost):
+        for cost in (costs.comfort_cost, costs.joint_limit_cost):
             _gradient_is_numeric(partial(cost, robot), q, tolerance=1e-5 if robot.lower[0] == 0.0 else 1e-7)
     width, middle = upper - lower, (upper + lower) / 2
     q = rng.uniform(lower, upper)
@@ -73,24 +67,3 @@ def test_freedom_and_sums():
     assert abs(costs.joint_limit_margin(robot, edge)) <= 1e-15
     total = costs.weighted_sum([(2.0, partial(costs.comfort_cost, robot)), (0.5, costs.damping_cost)])
     assert abs(total(edge) - 2.0 * costs.comfort_cost(robot, edge) - 0.5 * np.sum(edge**2)) <= 1e-12
-
-
-def test_box_penalty_on_the_links_circles():
-    robot, q = jaxik.load("chembuly9"), np.full(9, 0.1)
-    points = np.asarray(jaxik.collision.link_circles(robot, q, circles=5, around=6))
-    # each circle lies 1 cm from its link's axis
-    frames = np.asarray(jaxik.kinematics.link_frames(robot, q))
-    lines = [v for v in robot.volumes if len(v.corners) == 2]
-    assert len(points) == len(lines) * 30
-    for volume, ring in zip(lines, points.reshape(len(lines), 30, 3), strict=True):
-        frame = frames[volume.link] @ np.linalg.inv(robot.link_offset[volume.link])
-        a, b = volume.corners @ frame[:3, :3].T + frame[:3, 3]
-        along = (b - a) / np.linalg.norm(b - a)
-        off = (ring - a) - np.outer((ring - a) @ along, along)
-        assert np.allclose(np.linalg.norm(off, axis=1), 0.01, atol=1e-14)
-    low, high = costs.bounding_box(points[:30])
-    far = np.array([9.0, 9.0, 9.0])
-    boxes = np.stack([low, far]), np.stack([high, far + 1.0])
-    assert costs.box_penalty(points, *boxes) == 100.0 and costs.box_penalty(points + 50.0, *boxes) == 0.0
-    with pytest.raises(ValueError, match="cylindrical"):
-        jaxik.collision.link_circles(jaxik.load("p6r"), jnp.zeros(7))

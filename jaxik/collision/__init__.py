@@ -6,7 +6,7 @@ from jaxik.collision.contact_report import Contact, Limit, Nearby, explain
 from jaxik.collision.continuous_collision import MotionClearance, motion_clearance
 from jaxik.collision.scene import Fruit, Scene
 from jaxik.collision.scene_builder import SceneBuilder, make_scene
-from jaxik.collision.volumes import link_circles, robot_spheres
+from jaxik.collision.volumes import robot_spheres
 
 __all__ = [
     "Attached",
@@ -21,7 +21,6 @@ __all__ = [
     "clearance",
     "collides",
     "explain",
-    "link_circles",
     "make_scene",
     "motion_clearance",
     "object_clearances",

@@ -16,12 +16,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import Array
-from jaxik.checks.options import as_count
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot, as_configuration
-from jaxik.kinematics.shapes import Box, Volume
+from jaxik.kinematics.shapes import Box
 from jaxik.spatial.algebra import Frame, Scalar, Vec3, traced
-from jaxik.spmd import kernel
 
 LEVELS = {1: 0, 8: 1, 64: 2, 512: 3}
 
@@ -111,33 +109,3 @@ def robot_spheres(robot: Robot, q: Float[Array, " n"]) -> tuple[Float[Array, "s 
     if found is None:
         return jnp.zeros((0, 3), q.dtype), jnp.zeros(0, q.dtype)
     return jnp.stack([jnp.asarray(c, q.dtype) for c in found.corners[0]], axis=-1), jnp.asarray(found.radius, q.dtype)
-
-
-def link_circles(robot: Robot, q: Float[Array, " n"], circles: int = 11, around: int = 12) -> Float[Array, "p 3"]:
-    """Points in the world [m] on the cylindrical links (capsules) of a robot: `circles` along each, `around` points on one.
-    Traced.
-
-    What the box penalty of IJE 2022 (`costs.box_penalty`) asks for: "the surface of the link is considered as a series of
-    circles" (sec. 5). The capsules' numbers must be concrete. Raises `ValueError` where the robot has none.
-    """
-    if not any(v.corners.shape[0] == 2 for v in robot.volumes):
-        raise ValueError(f"{robot.name}: has no cylindrical link; add capsules to its file")
-    return _link_circles(robot, as_count("link_circles: circles", circles), as_count("link_circles: around", around), q)
-
-
-@kernel(models=3)
-def _link_circles(robot: Robot, circles: int, around: int, q: Any) -> jax.Array:
-    q, lines = as_configuration(robot, q), [v for v in robot.volumes if v.corners.shape[0] == 2]
-    root = Frame.of(robot.world_T_base, float(np.finfo(q.dtype).eps))
-    frames = (root, *joint_frames(robot, traced(q), root, q.dtype).joints)
-    links = np.repeat([v.link for v in lines], circles * around)
-    points = _carried(robot, frames, np.concatenate([_circles(v, circles, around) for v in lines]), links, q.dtype)
-    return jnp.stack([jnp.asarray(x, q.dtype) for x in points], axis=-1)
-
-
-def _circles(volume: Volume, circles: int, around: int) -> np.ndarray:
-    start, end = np.asarray(volume.corners, dtype=np.float64)
-    across = np.linalg.svd((end - start)[None])[2][1:]  # two directions across the line
-    turn = 2.0 * np.pi * np.arange(around) / around
-    ring = float(volume.radius) * np.stack([np.cos(turn), np.sin(turn)], axis=-1) @ across
-    return (np.linspace(start, end, circles)[:, None] + ring).reshape(-1, 3)

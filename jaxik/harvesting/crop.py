@@ -13,7 +13,6 @@ import numpy as np
 
 from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import SceneBuilder
-from jaxik.costs import bounding_box
 
 # Where IJE 2022, sec. 5.1 and table 4 send the tool [cm, in the base's frame].
 _GOURD = ((38, 34, 60), (43.25, 29.25, 55), (48.5, 24.5, 50), (53.75, 19.75, 55), (59, 15, 60), (59, -15, 60), (42, 36, 60))
@@ -73,7 +72,7 @@ def trellis_crop(kind: str = "bitter_gourd", seed: int = 0, leaves: int = 40) ->
     builder = SceneBuilder(name=f"{kind}_{seed}")
 
     def add(name: str, points: np.ndarray, removable: bool) -> None:
-        low, high = (np.asarray(corner) for corner in bounding_box(points))
+        low, high = points.min(axis=0), points.max(axis=0)
         if np.min(np.linalg.norm(np.maximum(np.maximum(low - targets, targets - high), 0.0), axis=1)) >= 0.06:
             builder.add(name, removable, boxes=[[*np.round((low + high) / 2.0, 4), *np.round(high - low, 4)]])
 

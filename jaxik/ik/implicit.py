@@ -13,9 +13,8 @@ from jaxik.checks.arrays import Array, as_shaped
 from jaxik.collision.clearances import link_clearances
 from jaxik.collision.scene import Scene
 from jaxik.costs import Cost
-from jaxik.ik.baselines import residual
 from jaxik.kinematics.robot import Robot, as_configuration
-from jaxik.kinematics.task import POSE, Task
+from jaxik.kinematics.task import POSE, Task, residual
 from jaxik.optimise.implicit import Implicit, Program, implicit
 from jaxik.spmd import kernel
 

@@ -16,14 +16,20 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
-from typing import Literal, get_args
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, get_args
 
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
+from jaxik.checks.arrays import Array
 from jaxik.checks.options import check_choices, shown
-from jaxik.spatial.algebra import Frame, Rot3, Scalar, Vec3, add, atan2, sub
+from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.robot import Robot
+from jaxik.spatial.algebra import Frame, Rot3, Scalar, Vec3, add, atan2, sub, traced
 from jaxik.spatial.rotations import rotation_swing, rotation_vector
+from jaxik.spmd import kernel
 
 Axes = Literal["tool", "base"]
 Component = Literal["x", "y", "z", "roll", "pitch", "yaw"]
@@ -99,6 +105,18 @@ class Task:
 
 POSE = Task()
 POSITION = Task.position()
+
+
+def residual(robot: Robot, target: Float[Array, "4 4"], task: Task = POSE) -> Callable[[Any], Any]:
+    """Returns the function of q (n,) that gives the tip's error from the target: the bound components [m], [rad]."""
+
+    @kernel
+    def missed(q: Any) -> Any:
+        tip = joint_frames(robot, traced(q), dtype=q.dtype).tip
+        position, rotation = task.residual(tip, Frame.of_entries(traced(jnp.asarray(target, q.dtype))))
+        return jnp.stack(position + rotation)
+
+    return missed
 
 
 def _rotation(e: Rot3, kept: tuple[int, ...]) -> list[Scalar]:

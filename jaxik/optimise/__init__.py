@@ -1,4 +1,4 @@
-"""Solvers that know no robot: sequential quadratic programming, descent in a space of functions, LQR, Newton."""
+"""Solvers that know no robot: sequential quadratic programming, descent in a space of functions, LQR."""
 
 from jaxik.optimise import ilqr
 from jaxik.optimise.descent import QUASI_NEWTON, Descent

@@ -103,7 +103,7 @@ class Steering:
         blind = bool(page.blind)
 
         def cost(q: Any) -> Any:
-            total = costs.comfort_and_limit_cost(robot, q, 0.05)
+            total = costs.joint_limit_cost(robot, q) + 0.05 * costs.comfort_cost(robot, q)
             return total if blind else total + costs.collision_cost(clearance(robot, scene, q), SHELL)
 
         mapping, margin = PositionControl(smoothing=0.08, fastest=0.5, turning=1.5), None if blind else MARGIN

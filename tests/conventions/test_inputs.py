@@ -253,7 +253,6 @@ def test_other_arrays_and_counts(value):
             lambda: jaxik.motions.MovingHorizon(ARM, COST, HORIZON, value),
         ]
         counts += [lambda: jaxik.motions.multistart(ARM, LINE, 1.0, ZEROS, COST, HORIZON, value)]
-        counts += [lambda: jaxik.collision.link_circles(jaxik.load("pendulum4"), np.zeros(4), value)]
         assert [answer(call) for call in counts] == [None] * len(counts)
     if not isinstance(value, int) or not 0 <= value <= 7:
         assert answer(P6R.part, value, 7) is None or isinstance(value, np.integer)

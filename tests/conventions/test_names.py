@@ -17,14 +17,14 @@ def test_late_packages_are_there_when_asked_for():
     subprocess.run([sys.executable, "-c", asked], check=True)
 
 
-@pytest.mark.parametrize("package", ["", *(n for n in jaxik.__all__ if hasattr(getattr(jaxik, n), "__path__"))])
+@pytest.mark.parametrize("package", ["", *(n for n in jaxik.__all__ if hasattr(getattr(jaxik, n), "__all__"))])
 def test_a_face_shows_what_it_names(package):
     face = importlib.import_module(f"jaxik.{package}".rstrip("."))
     assert face.__all__ == sorted(set(face.__all__), key=lambda n: (not n.isupper(), not n[0].isupper(), n))
     assert all(hasattr(face, name) for name in face.__all__) and face.__doc__
 
 
-@pytest.mark.parametrize("package", ["", *(n for n in jaxik.__all__ if hasattr(getattr(jaxik, n), "__path__"))])
+@pytest.mark.parametrize("package", ["", *(n for n in jaxik.__all__ if hasattr(getattr(jaxik, n), "__all__"))])
 def test_docstrings_say_where_they_run(package):
     """In their first paragraph, as a sentence of its own; `jaxik` says what the words mean."""
     face = importlib.import_module(f"jaxik.{package}".rstrip("."))

@@ -37,7 +37,6 @@ CALLS = {  # name -> (function of arrays, arrays)
     "analytic.subproblem_6": (analytic.subproblem_6, P2, P2, P2[0], V[:2]),
     "collision.clearance": (lambda q: collision.clearance(ARM, SCENE, q), Q),
     "collision.collides": (lambda q: collision.collides(ARM, SCENE, q), Q),
-    "collision.link_circles": (lambda q: collision.link_circles(ARM, q), Q),
     "collision.robot_spheres": (lambda q: collision.robot_spheres(ARM, q), Q),
     "collision.motion_clearance": (lambda q: collision.motion_clearance(ARM, SCENE, q, 1.1 * q), Q),
     "collision.object_clearances": (lambda q: collision.object_clearances(ARM, SCENE, q), Q),

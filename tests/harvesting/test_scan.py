@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from fresh import scan_memory
+from papers.harvest_costs import harvest_orientation_cost
 
 import jaxik
-from jaxik.costs import harvest_orientation_cost
 from jaxik.files.shipped import models_folder
 from jaxik.harvesting.grasp import grasp_poses
 from jaxik.harvesting.grid_refinement import _climb, _misses, _self_motion, recover

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.extend.core import jaxpr_as_fun
+from papers.harvest_costs import harvest_orientation_cost, position_cost
 
 import jaxik
 from jaxik.analytic.solutions import closed_branches, closed_forms
@@ -51,12 +52,12 @@ def _costs(q):
     """A user's: what `costs` offers, in one kernel."""
     at = jaxik.forward_kinematics(ARM, q)
     terms = [
-        jaxik.costs.position_cost(at[:3, 3], jnp.array([0.3, 0.2, 0.1], q.dtype)),
-        jaxik.costs.harvest_orientation_cost(at[:3, :3]),
-        jaxik.costs.comfort_and_limit_cost(ARM, q),
+        position_cost(at[:3, 3], jnp.array([0.3, 0.2, 0.1], q.dtype)),
+        harvest_orientation_cost(at[:3, :3]),
+        jaxik.costs.joint_limit_cost(ARM, q) + 0.1 * jaxik.costs.comfort_cost(ARM, q),
         jaxik.costs.damping_cost(q),
         jaxik.costs.joint_limit_margin(ARM, q),
-        jaxik.costs.proximity_penalty(q[0]),
+        jaxik.costs.collision_cost(q[0], 0.075, order=1),
         jaxik.costs.collision_cost(q[1], 0.5),
     ]
     return jnp.stack([jnp.asarray(t, q.dtype) for t in terms])

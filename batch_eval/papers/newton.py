@@ -12,17 +12,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Float, Int
-
-from jaxik.optimise.linear import definite_solve
 
 
 class Root(NamedTuple):
     """Where an iteration ended: x (n,), the largest component of r there, and the number of steps."""
 
-    x: Float[jax.Array, "*b n"]
-    residual: Float[jax.Array, "*b"]
-    iterations: Int[jax.Array, "*b"]
+    x: jax.Array
+    residual: jax.Array
+    iterations: jax.Array
 
 
 def newton_raphson(residual: Callable[[Any], Any], x: Any, tolerance: float = 1e-9, iterations: int = 100) -> Root:
@@ -33,8 +30,8 @@ def newton_raphson(residual: Callable[[Any], Any], x: Any, tolerance: float = 1e
 def damped_least_squares(
     residual: Callable[[Any], Any], x: Any, damping: float = 0.05, tolerance: float = 1e-9, iterations: int = 100
 ) -> Root:
-    """The same with a bounded step next to singularities, and slower convergence for it. Traced."""
-    step = lambda a, r: a.T @ jnp.stack(definite_solve(a @ a.T + damping**2 * jnp.eye(len(r), dtype=r.dtype), r, 0.0))
+    """Newton steps with a bounded length next to singularities, and slower convergence for it. Traced."""
+    step = lambda a, r: a.T @ jnp.linalg.solve(a @ a.T + damping**2 * jnp.eye(len(r), dtype=r.dtype), r)
     return _iterated(residual, step, x, tolerance, iterations)
 
 

@@ -4,14 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from papers.baselines import global_search, newton_ik
+from papers.harvest_costs import box_penalty
+from papers.newton import damped_least_squares, newton_raphson
 from robots import bare, pinocchio, pose_errors
 from scipy.optimize import root
 
 import jaxik
-from jaxik.costs import box_penalty
 from jaxik.harvesting.crop import TRELLIS_TARGETS, trellis_crop
-from jaxik.ik.baselines import global_search, newton_ik
-from jaxik.optimise.newton import damped_least_squares, newton_raphson
 
 POSITION = jaxik.Task.position()
 

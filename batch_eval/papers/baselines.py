@@ -1,7 +1,7 @@
-"""What `solve_ik` is compared with: the textbook iterations and the papers' global search.
+"""The baselines of `solve_ik`: the textbook iterations and the papers' global search.
 
-Honest ones: each does what its source says, no more. The iterations know no limits and no obstacles; the search knows both
-through its penalty, and stops where it stops.
+Each does what its source says, no more. The iterations know no limits and no obstacles; the search knows both through its
+penalty, and ends where it stands.
 """
 
 from __future__ import annotations
@@ -11,48 +11,47 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from papers.harvest_costs import box_penalty, link_circles
+from papers.newton import Root, damped_least_squares, newton_raphson
+from scipy.optimize import differential_evolution
 
-from jaxik.checks.arrays import Array
-from jaxik.collision.clearances import clearance
-from jaxik.collision.scene import Scene
-from jaxik.collision.volumes import link_circles
-from jaxik.costs import box_penalty, proximity_penalty
-from jaxik.kinematics.forward import joint_frames
-from jaxik.kinematics.robot import Robot, as_configuration
-from jaxik.kinematics.task import POSE, Task
-from jaxik.optimise.newton import Root, damped_least_squares, newton_raphson
-from jaxik.spatial.algebra import Frame, traced
+import jaxik
 from jaxik.spmd import HostKernel, kernel
-from jaxik.spmd.batch import in_blocks
+
+POSE = jaxik.Task.pose()
 
 
-def residual(robot: Robot, target: Float[Array, "4 4"], task: Task = POSE) -> Callable[[Any], Any]:
-    """q (n,) -> what the tip misses of the target: the bound components [m], [rad]."""
+def residual(robot: jaxik.Robot, target: Any, task: jaxik.Task) -> Callable[[Any], Any]:
+    """q (n,) -> the tip's error from the target (4, 4), actual minus target, base axes: the bound components [m], [rad]."""
+    if len({*task.bound[3:]}) > 1:
+        raise ValueError(f"baselines: task binds {task.bound}; allowed: all of a rotation or nothing of it")
+    bound = np.flatnonzero(task.bound)
 
     @kernel
     def missed(q: Any) -> Any:
-        tip = joint_frames(robot, traced(q), dtype=q.dtype).tip
-        position, rotation = task.residual(tip, Frame.of_entries(traced(jnp.asarray(target, q.dtype))))
-        return jnp.stack(position + rotation)
+        tip, wanted = jaxik.forward_kinematics(robot, q), jnp.asarray(target, q.dtype)
+        apart = tip[:3, 3] - wanted[:3, 3]
+        if not task.bound[3]:
+            return apart[bound]
+        return jnp.concatenate([apart, jaxik.spatial.rotation_log(tip[:3, :3] @ wanted[:3, :3].T)])[bound]
 
     return missed
 
 
 def newton_ik(
-    robot: Robot,
-    target: Float[Array, "4 4"],
-    q: Float[Array, " n"],
+    robot: jaxik.Robot,
+    target: Any,
+    q: Any,
     damping: float = 0.0,
-    task: Task = POSE,
+    task: jaxik.Task = POSE,
     tolerance: float = 1e-9,
     iterations: int = 100,
 ) -> Root:
-    """Newton-Raphson on position level from `q`, or damped least squares where `damping` > 0. Traced; no limits.
+    """Newton-Raphson on position level from `q` (n,), or damped least squares if `damping` > 0. Traced; no limits.
 
     Source: Schuetz 2017, sec. 4.1; Wampler 1986.
     """
-    missed, start = residual(robot, target, task), as_configuration(robot, q)
+    missed, start = residual(robot, target, task), jnp.asarray(q)
     if damping > 0.0:
         return damped_least_squares(missed, start, damping, tolerance, iterations)
     return newton_raphson(missed, start, tolerance, iterations)
@@ -67,11 +66,11 @@ class Searched(NamedTuple):
 
 
 def global_search(
-    robot: Robot,
-    target: Float[Array, "4 4"],
-    scene: Scene | None = None,
+    robot: jaxik.Robot,
+    target: Any,
+    scene: jaxik.Scene | None = None,
     boxes: tuple[np.ndarray, np.ndarray] | None = None,
-    task: Task = POSE,
+    task: jaxik.Task = POSE,
     seed: int = 0,
     generations: int = 1000,
     population: int = 15,
@@ -82,14 +81,12 @@ def global_search(
     corners (b, 3) in the world [m]) that hold a point of the cylindrical links [IJE 2022, (7)]. It stands for the papers'
     genetic algorithm; by scipy, evaluated a generation at a time.
     """
-    from scipy.optimize import differential_evolution
-
     missed = residual(robot, target, task)
 
     def objective(q: Any) -> Any:
         total = jnp.sum(missed(q) ** 2)
         if scene is not None:
-            total += proximity_penalty(clearance(robot, scene, q))
+            total += jnp.minimum(jaxik.costs.collision_cost(jaxik.clearance(robot, scene, q), 0.075, order=1), 1.0)
         if boxes is not None:
             total += box_penalty(link_circles(robot, q), *boxes)
         return total
@@ -99,7 +96,7 @@ def global_search(
     def evaluate(columns: np.ndarray) -> np.ndarray:
         nonlocal looked
         looked += columns.shape[1]
-        return in_blocks(each, columns.T, double=True)[0]
+        return each.run(columns.T, double=True)[0]
 
     bounds, rng = np.stack(robot.finite_limits, axis=1), np.random.default_rng(seed)
     plain = {"vectorized": True, "updating": "deferred", "polish": False, "tol": 0.0, "atol": 0.0}
