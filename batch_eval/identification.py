@@ -21,8 +21,8 @@ from race import clocked, machine
 
 import jaxik
 from jaxik.dynamics import Body, Drive, Friction, inverse_dynamics, motor_current
-from jaxik.identification import Identified, IdentifyOptions, MotionLog, excite, identify, pseudo_inertias
-from jaxik.kinematics import Robot
+from jaxik.identification import IdentifyOptions, excite, identify
+from jaxik.kinematics import Motion, Robot
 
 COUNT, PERIOD, SECONDS, RATE, NOISE = 3, 20.0, 40.0, 100.0, 0.01
 ASKED = {"period": PERIOD, "margin": None}  # the files are read without their meshes
@@ -52,19 +52,16 @@ def another(robot: Robot, seed: int) -> Robot:
     return dataclasses.replace(robot, bodies=tuple(bodies))
 
 
-def torques(robot: Robot, motion: Any) -> np.ndarray:
-    return np.asarray(jax.jit(jax.vmap(lambda *row: inverse_dynamics(robot, *row)))(*motion))
+def currents(robot: Robot, motion: Motion) -> np.ndarray:
+    asked = lambda q, qdot, qddot: motor_current(robot, inverse_dynamics(robot, q, qdot, qddot), qdot)
+    return np.asarray(jax.jit(jax.vmap(asked))(motion.q, motion.velocity, motion.acceleration))
 
 
-def currents(robot: Robot, motion: Any) -> np.ndarray:
-    return np.asarray(jax.jit(jax.vmap(lambda t, qdot: motor_current(robot, t, qdot)))(torques(robot, motion), motion[1]))
-
-
-def logged(true: Robot, motion: Any, seed: int) -> MotionLog:
+def logged(true: Robot, motion: Motion, seed: int) -> Motion:
     """Currents along a motion, and their noise."""
     current = currents(true, motion)
     noise = np.random.default_rng(seed).normal(size=current.shape) * NOISE * current.std(axis=0)
-    return MotionLog(*motion, current=current + noise)
+    return dataclasses.replace(motion, current=current + noise)
 
 
 def coefficients(robot: Robot, term: str) -> list[float]:
@@ -81,18 +78,23 @@ def coefficients(robot: Robot, term: str) -> list[float]:
     return found
 
 
-def judged(name: str, seed: int, motion: Any, other: Any) -> dict[str, Any]:
+def can_be(body: Body) -> bool:
+    """Whether the mass is positive, and the moments of inertia definite and within the triangle inequality."""
+    moments = np.linalg.eigvalsh(body.inertia)
+    return bool(body.mass > 0.0 and moments[0] > 0.0 and moments[0] + moments[1] > moments[2])
+
+
+def judged(name: str, seed: int, motion: Motion, other: Motion) -> dict[str, Any]:
     """One robot that nobody knows, and what is known of it afterwards."""
     robot, terms = load_robot(name), FILES[name][2]
     true = another(robot, seed)
     log = logged(true, motion, seed)
-    found: Identified
     found, seconds = clocked(lambda: identify(robot, log, terms=terms))
     values = np.concatenate([true.parameters, *(coefficients(true, term) for term in terms)])
     truth = found.base.matrix @ values
     off, unknown = np.abs(found.value - truth), set(found.unknown())
     told = np.array([word not in unknown for word in found.base.words])
-    wanted, moves = currents(true, other), np.abs(other[1]) > IdentifyOptions().slowest
+    wanted, moves = currents(true, other), np.abs(other.velocity) > IdentifyOptions().slowest
     rms = lambda x: np.sqrt(np.mean(x**2, axis=0, where=moves))
     missed = [rms(currents(c, other) - wanted) / wanted.std(axis=0) for c in (robot, found.robot)]
     return {
@@ -105,7 +107,7 @@ def judged(name: str, seed: int, motion: Any, other: Any) -> dict[str, Any]:
         "condition": found.condition,
         "current_before": float(missed[0].max()),
         "current_after": float(missed[1].max()),
-        "physical": bool(np.linalg.eigvalsh(pseudo_inertias(found.robot.parameters)).min() > 0.0),
+        "physical": all(can_be(body) for body in found.robot.bodies),
     }
 
 

@@ -20,8 +20,8 @@ from jaxik.dynamics.actuation import friction_torque, motor_current
 from jaxik.dynamics.recursions import gravity_torque, inverse_dynamics
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot, beyond_limits
-from jaxik.planning.trajectory_files import as_states, check_ending
-from jaxik.planning.trajectory_readers import read_motion
+from jaxik.kinematics.smoothing import smooth
+from jaxik.planning.trajectory_files import check_ending, read_motion
 
 ROUNDED = 1e-3  # [rad, m] beyond its limits that a joint may be, as files are rounded
 SLOWEST = 1.0  # [s] between samples that are told in seconds
@@ -75,13 +75,15 @@ class DynamicsArguments(RobotArguments):
             raise ValueError(f"--gravity {' '.join(map(str, self.gravity))}: finite numbers [m/s2]")
         robot = jaxik.load(self.robot, **self.loading())
         robot = robot.with_load(self.load, np.zeros(3), np.zeros((3, 3))) if self.load else robot
-        time, found = read_motion(check_ending("dynamics", self.motion), robot.joint_names)
-        self._doubt(robot, time, found["q"])
-        demand = demanded(robot, as_states(time, found, self.smooth), self.gravity)
+        found = read_motion(check_ending("dynamics", self.motion), robot.joint_names)
+        time = found.time
+        self._doubt(robot, time, np.asarray(found.q))
+        whole = found.velocity is not None and found.acceleration is not None and self.smooth is None
+        demand = demanded(robot, found if whole else smooth(found, self.smooth), self.gravity)
         with writing(self.out) as (aside, wrote):
             _write(aside, robot, time, demand)
-        if "acceleration" not in found:
-            print(f"  {self._derived('velocity' in found)}")
+        if found.acceleration is None:
+            print(f"  {self._derived(found.velocity is not None)}")
         for line in _lines(robot, demand):
             print(f"  {line}")
         work = np.trapezoid(np.maximum(demand.power, 0.0).sum(axis=1), time)

@@ -74,7 +74,7 @@ class PlanArguments(ShapedRobotArguments):
         if moved.trajectory is None or moved.waypoints is None:
             raise Unsolved(f"no motion in {seconds:.1f} s: {moved.why}{self._what(moved, robot, scene)}")
         with writing(self.out) as (aside, wrote):
-            jaxik.planning.save_trajectory(aside, moved.trajectory, self.period, robot.joint_names)
+            jaxik.planning.save_trajectory(moved.trajectory, aside, robot=robot, dt=self.period)
         lasts, corners = moved.trajectory.duration, len(moved.waypoints) - 2
         print(f"{lasts:.2f} s around {corners} corners, planned in {seconds:.2f} s; {wrote}")
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxik.checks.options import check_kind
 from jaxik.harvesting.harvest_plan import HarvestPlan
-from jaxik.planning.trajectory_files import arrays, check_ending, joint_points, known, table
+from jaxik.planning.trajectory_files import check_ending, joint_points, save_arrays, save_table
 
 
 def save_harvest_plan(file: str | Path, plan: HarvestPlan, period: float = 0.01) -> Path:
@@ -28,12 +28,10 @@ def save_harvest_plan(file: str | Path, plan: HarvestPlan, period: float = 0.01)
         ]
         file.write_text(json.dumps(stages))
         return file
-    time, motion, number = plan.sample(period)
+    _, motion, number = plan.sample(period)
     words = {key: np.array([getattr(s, kind) for s in plan.stages])[number] for key, kind in _WORDS.items()}
-    if file.suffix.lower() == ".npz":
-        arrays(file, time=time, **words, **known(motion), joint_names=names)
-    else:
-        table(file, motion, names, words)
+    write = save_arrays if file.suffix.lower() == ".npz" else save_table
+    write(file, motion, names, words)
     return file
 
 

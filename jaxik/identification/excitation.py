@@ -5,13 +5,13 @@
 The scale s_j is the largest at which the joint keeps its limits of position, velocity and acceleration, so that every choice of
 coefficients and of shares 0 < u_j <= 1 is a motion that the robot can make [Swevers et al. 1997, whose limits are constraints].
 Most is told where log det(A' A) is largest, A being the base parameters' columns: no parameter's scale changes where that is.
-What comes near an obstacle, or the robot itself, costs, and more from round to round (`clear_motion`); the last resort, where
-that does not suffice, is the same motion in small.
+What comes near an obstacle, or the robot itself, costs, and more from round to round; the last resort, where that does not
+suffice, is the same motion in small (`clear_motion`).
 """
 
 from __future__ import annotations
 
-import dataclasses
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -19,13 +19,24 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from jaxik.checks.arrays import shaped
-from jaxik.checks.options import as_count, changed, check_finite, check_kind, check_seed
+from jaxik.checks.options import check_kind, check_seed
 from jaxik.collision.scene import Scene
+from jaxik.identification.base_fit import condition
 from jaxik.identification.clear_motion import ClearSpace
-from jaxik.identification.columns import Term, body_columns, check_terms, friction_columns, ratios, side_by_side
-from jaxik.identification.identifiable import base_parameters
-from jaxik.identification.weighted_fit import condition
+from jaxik.identification.identifiable import (
+    Term,
+    base_parameters,
+    body_columns,
+    check_terms,
+    friction_columns,
+    ratios,
+    side_by_side,
+)
+from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
+from jaxik.options import Options, anything, count, number
+from jaxik.reasons import Reason
+from jaxik.results import Result
 
 STEP = 1e-6  # of finite differences, in units of the limits
 LEAST = 1e-12  # of the largest singular value
@@ -37,48 +48,56 @@ ROOM = 0.05  # [m] beyond the margin, that a middle is to have
 POSTURES = 256  # at random, the roomiest of which is the middle where that of the limits has less
 
 
-@dataclasses.dataclass(frozen=True)
-class ExcitationOptions:
-    """`terms` of the drives' friction to excite beside the bodies; a `period` [s] of as many `harmonics`, judged at `samples`;
-    limits of `velocity` [rad/s, m/s], beside the chain's own, and `acceleration` [rad/s2, m/s2]; the `share` of a joint's range
-    that is used; the clearance [m] that is kept all the time, `margin`, or None, by which nobody looks at collisions; the
-    `middle` (n,) [rad, m] of the motion, None for that of the limits, or where that is not free a roomy posture; and `starts`
-    at random by `seed`, the best of which is improved in `steps`, up to three times as many among obstacles."""
+class ExciteOptions(Options, who="excite"):
+    """How `excite` makes a motion."""
 
-    terms: tuple[Term, ...] = ("coulomb", "viscous")
-    period: float = 10.0
-    harmonics: int = 5
-    samples: int = 100
-    velocity: float = 1.0
-    acceleration: float = 4.0
-    share: float = 0.9
-    margin: float | None = 0.0
-    middle: Any = None
-    starts: int = 20
-    steps: int = 50
-    seed: int = 0
+    terms: tuple[Term, ...] = anything(
+        default=("coulomb", "viscous"), words="terms of the drives' friction to excite beside the bodies"
+    )
+    period: float = number(default=10.0, unit="s", above=0.0, words="how long the motion is, before it begins again")
+    harmonics: int = count(default=5, words="how many frequencies it has")
+    samples: int = count(default=100, words="moments at which it is judged, 4 a harmonic at least")
+    velocity: float = number(default=1.0, unit="rad/s, m/s", above=0.0, words="limit of all joints, beside the robot's own")
+    acceleration: float = number(default=4.0, unit="rad/s2, m/s2", above=0.0, words="limit of all joints")
+    share: float = number(default=0.9, above=0.0, most=1.0, words="part of a joint's range that is used")
+    margin: float | None = number(
+        default=0.0, unit="m", words="clearance that is kept all the time; None looks at no collisions", optional=True
+    )
+    middle: Any = anything(
+        default=None,
+        unit="rad, m",
+        words="the motion's middle (n,); None is that of the limits, or where that is not free a roomy posture",
+    )
+    starts: int = count(default=20, words="motions at random, the best of which is improved")
+    steps: int = count(default=50, words="steps in which it is improved, up to three times as many among obstacles")
+
+    def check(self) -> None:
+        check_terms(self.who, self.terms)
+        if self.samples < 4 * self.harmonics:
+            raise ValueError(f"excite: {self.samples} samples of {self.harmonics} harmonics; allowed: at least 4 for each")
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Excitation:
-    """A motion of one `period` [s]: `q`, `qdot` and `qddot` (k, n) at `times` (k,) [s]; the `condition` number of its base
-    columns at equal lengths; its `gain`, by how much smaller it makes standard errors than the best start, which may collide,
-    in the geometric mean; and the series' `coefficients` (2 h, n), sines first, about `middle` (n,)."""
+class ExciteResult(Result):
+    """A `motion` (k, n) of one `period` [s]; the `condition` number of its base columns at equal lengths; its `gain`, by how
+    much smaller it makes standard errors than the best start, which may collide, in the geometric mean; and the series'
+    `coefficients` (2 h, n), sines first, about `middle` (n,)."""
 
-    times: np.ndarray
-    q: np.ndarray
-    qdot: np.ndarray
-    qddot: np.ndarray
+    motion: Motion
     condition: float
     gain: float
     coefficients: np.ndarray
     middle: np.ndarray
     period: float
+    reason: Reason = Reason.SOLVED
 
-    def at(self, times: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions, rates and accelerations (k, n) [rad, m, and per s, s2] at other times (k,) [s], in any period."""
-        q, qdot, qddot = _series(np.asarray(times, np.float64), self.period, len(self.coefficients) // 2) @ self.coefficients
-        return self.middle + q, qdot, qddot
+    def at(self, time: Any) -> Motion:
+        """The motion (k, n) at other times (k,) [s], in any period."""
+        time = np.asarray(time, np.float64)
+        q, velocity, acceleration = _series(time, self.period, len(self.coefficients) // 2) @ self.coefficients
+        return Motion(self.middle + q, velocity, acceleration, time)
+
+    def _told(self) -> str:
+        return f"{self.why}; condition number {self.condition:.0f}, errors smaller by {self.gain:.2f} than of the best start"
 
 
 def _series(times: np.ndarray, period: float, harmonics: int) -> np.ndarray:
@@ -93,7 +112,7 @@ def _series(times: np.ndarray, period: float, harmonics: int) -> np.ndarray:
 class _Search:
     """The objective and its gradient by the series' coefficients (2 h, n) and the shares (n,), in one row each (2 h + 1, n)."""
 
-    def __init__(self, robot: Robot, space: ClearSpace | None, middle: np.ndarray, options: ExcitationOptions):
+    def __init__(self, robot: Robot, space: ClearSpace | None, middle: np.ndarray, options: ExciteOptions):
         self.robot, self.space, self.middle, self.terms = robot, space, middle, options.terms
         self.base, self.weight = base_parameters(robot, options.terms), WEIGHTS[0]
         fastest = np.minimum(robot.velocity, options.velocity)
@@ -180,28 +199,36 @@ def _times(period: float, count: int) -> np.ndarray:
 
 
 def excite(
-    robot: Robot, scene: Scene | None = None, options: ExcitationOptions = ExcitationOptions(), **changes: Any
-) -> Excitation:
-    """A periodic motion inside the robot's limits that tells its bodies and friction apart well. Host driver.
+    robot: Robot,
+    *,
+    scene: Scene | None = None,
+    seed: int = 0,
+    options: ExciteOptions | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **changes: Any,
+) -> ExciteResult:
+    """Makes a periodic motion inside the robot's limits that tells its bodies and friction apart well. Host driver.
 
-    `changes` are fields of the options. The robot keeps clear of itself and of the scene by `margin`, between samples, too;
-    what carries it, and what it carries, are in the robot or in the scene, or are not looked at.
+    The robot keeps clear of itself and of the scene by `margin`, between samples, too; what carries it, and what it carries,
+    are in the robot or in the scene, or are not looked at. `changes` are fields of the options; `progress` is told how many
+    steps are done, of how many at most.
 
     Raises `ValueError` for options that cannot be used, for a joint that cannot move, for a robot without shapes where
     `margin` is not None, and where no motion is clear. Source: Swevers, Ganseman, Tukel, De Schutter, Van Brussel 1997.
     """
     check_kind("excite", "robot", robot, Robot)
     check_kind("excite", "scene", scene, Scene, optional=True)
-    options = changed("excite", options, changes)
-    _check(robot, options)
+    check_seed("excite", seed)
+    options = ExciteOptions.chosen(options, changes)
+    _check_moves(robot)
     space = None if options.margin is None else ClearSpace("excite", robot, scene, options.margin)
     with threadpool_limits(1, "blas"):  # matrices are small, and threads would wait for each other
-        search = _Search(robot, space, _middle(robot, space, options), options)
-        return _excited(search, options)
+        search = _Search(robot, space, _middle(robot, space, options, seed), options)
+        return _excited(search, options, seed, progress)
 
 
-def _middle(robot: Robot, space: ClearSpace | None, options: ExcitationOptions) -> np.ndarray:
-    """That of the limits, one that is given, or where that of the limits has no room the roomiest of many."""
+def _middle(robot: Robot, space: ClearSpace | None, options: ExciteOptions, seed: int) -> np.ndarray:
+    """Chooses the motion's middle: the given one, that of the limits, or where that has no room the roomiest of many."""
     lower, upper = robot.finite_limits
     middle = 0.5 * (lower + upper)
     if options.middle is not None:
@@ -211,7 +238,7 @@ def _middle(robot: Robot, space: ClearSpace | None, options: ExcitationOptions) 
             raise ValueError(f"excite: the middle of {joint} is not within share={options.share:g} of its limits")
     elif space is not None and space.room(middle[None])[0] < ROOM:
         reach = 0.5 * half_range(robot, middle, options.share)
-        others = middle + reach * np.random.default_rng(options.seed).uniform(-1.0, 1.0, (POSTURES, robot.num_joints))
+        others = middle + reach * np.random.default_rng(seed).uniform(-1.0, 1.0, (POSTURES, robot.num_joints))
         every = np.vstack([middle, others])
         middle = every[np.argmax(space.room(every))]
     if space is not None and (room := space.room(middle[None])[0]) < 0.0:
@@ -220,17 +247,20 @@ def _middle(robot: Robot, space: ClearSpace | None, options: ExcitationOptions) 
     return middle
 
 
-def _excited(search: _Search, options: ExcitationOptions) -> Excitation:
+def _excited(search: _Search, options: ExciteOptions, seed: int, progress: Callable[[int, int], None] | None) -> ExciteResult:
     from scipy.optimize import minimize
 
-    n, rng, space = len(search.middle), np.random.default_rng(options.seed), search.space
+    n, rng, space = len(search.middle), np.random.default_rng(seed), search.space
     drawn = rng.normal(size=(options.starts, 2 * options.harmonics, n))
     first = min((np.vstack([c, np.ones(n)]) for c in drawn), key=search.value)
     finer = _series(_times(options.period, FINER * options.samples), options.period, options.harmonics)
     step = options.period / len(finer[0])
     x, bounds = first, [(None, None)] * drawn[0].size + [(LEAST_SHARE, 1.0)] * n
+    counted, most = itertools.count(1), len(WEIGHTS) * options.steps
+    told = (lambda done: None) if progress is None else lambda done: progress(done, most)
+    how = {"jac": True, "method": "L-BFGS-B", "bounds": bounds, "options": {"maxiter": options.steps}}
     for search.weight in WEIGHTS:
-        done = minimize(search, x.ravel(), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": options.steps})
+        done = minimize(search, x.ravel(), callback=lambda x: told(next(counted)), **how)
         x = done.x.reshape(-1, n)
         c = x[:-1] * search.scaled(finer, x[:-1])[1] * x[-1]
         clear = lambda part, c=c: space is None or space.keeps(search.middle + part * finer[0] @ c, step, options.acceleration)
@@ -240,12 +270,10 @@ def _excited(search: _Search, options: ExcitationOptions) -> Excitation:
         c = c * _largest(clear)
     motion = search.series @ c
     before, after = (search.told(m)[0] for m in (search.scaled(search.series, first[:-1])[0], motion))
-    q, qdot, qddot = motion
-    return Excitation(
-        times=_times(options.period, options.samples),
-        q=search.middle + q,
-        qdot=qdot,
-        qddot=qddot,
+    q, velocity, acceleration = motion
+    told(most)
+    return ExciteResult(
+        motion=Motion(search.middle + q, velocity, acceleration, _times(options.period, options.samples)),
         condition=search.condition(motion),
         gain=float(np.exp((before - after) / len(search.base))),
         coefficients=c,
@@ -265,20 +293,8 @@ def _largest(clear: Callable[[float], bool]) -> float:
     return low
 
 
-def _check(robot: Robot, options: ExcitationOptions) -> None:
-    check_terms("excite", options.terms)
-    check_seed("excite", options.seed)
-    counts = {name: as_count(f"excite: {name}", getattr(options, name)) for name in ("harmonics", "samples", "starts", "steps")}
-    if counts["samples"] < 4 * counts["harmonics"]:
-        raise ValueError(
-            f"excite: {counts['samples']} samples of {counts['harmonics']} harmonics; allowed: at least 4 for each"
-        )
+def _check_moves(robot: Robot) -> None:
     for name, low, high, fastest in zip(robot.joint_names, *robot.finite_limits, robot.velocity, strict=True):
         if not (low < high and fastest > 0.0):
-            mend = "give it room, or excite the part of the chain that moves"
+            mend = "give it room, or excite the part of the robot that moves"
             raise ValueError(f"excite: {name} cannot move: {low:g} to {high:g}, velocity {fastest:g}; {mend}")
-    for name in ("period", "velocity", "acceleration", "share"):
-        value = getattr(options, name)
-        check_finite("excite", 0.0, **{name: value})
-        if not value > 0.0 or (name == "share" and value > 1.0):
-            raise ValueError(f"excite: {name} is {value:g}; it is above 0{', and 1 at most' * (name == 'share')}")

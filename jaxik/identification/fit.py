@@ -8,23 +8,24 @@ robot's own numbers on, to which what the logs do not tell stays close.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from jaxik.checks.options import as_count, changed, check_finite, check_kind
-from jaxik.identification.base_fit import BaseFit, base_fit
-from jaxik.identification.columns import Term, check_terms
-from jaxik.identification.identifiable import BaseParameters, base_parameters
-from jaxik.identification.log import MotionLog
+from jaxik.checks.options import check_kind
+from jaxik.identification.base_fit import BaseFit, base_fit, repeated
+from jaxik.identification.identifiable import BaseParameters, Term, base_parameters, check_terms
 from jaxik.identification.physical_fit import physical_fit
 from jaxik.identification.problem import Problem, check_alive, posed
-from jaxik.identification.weighted_fit import repeated
 from jaxik.kinematics.drive import Drive, Friction
+from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import INERTIAL, Robot
-from jaxik.reasons import Reason, Reasoned
+from jaxik.options import Options, anything, count, number
+from jaxik.pytree import static
+from jaxik.reasons import Reason
+from jaxik.results import Result
 
 LEAST_PRIOR = 1e-6  # as a logarithm; with less nothing would be found at all
 MOST, ALL = 0.3, 0.9  # of a joint's torque that may be left, if it is no noise; and that is nearly all of it
@@ -34,96 +35,135 @@ HEAVY = 10.0  # times as heavy, or as light, as the file says a robot is: torque
 FAR, SHARE = 3.0, 0.01  # times the noise, and of a joint's torque: what leaves more than both has not arrived at the log
 
 
-@dataclasses.dataclass(frozen=True)
-class IdentifyOptions:
-    """`terms` of the drives' friction to find: those that are left out count as none, but for the rotors, which
-    are then the robot's `armature`. Rows in which a joint is slower than `slowest` [rad/s, m/s] do not count for it, for at
-    rest friction has no law. `prior` is how far bodies may be from the robot's where the log does not say, as a logarithm (1:
-    by factors of about e). Beyond a `condition` number the reason is UNEXCITED. The load of the friction is found in
-    `rounds`, and bodies that can be in `steps`, at most."""
+class LogOptions(Options):
+    """How logs are fitted: what `identify` and `identify_load` have in common."""
 
-    terms: tuple[Term, ...] = ("coulomb", "viscous")
-    slowest: float = 0.05
-    prior: float = 1.0
-    condition: float = 1000.0
-    rounds: int = 20
-    steps: int = 1000
+    slowest: float = number(
+        default=0.05,
+        unit="rad/s, m/s",
+        least=0.0,
+        words="rows in which a joint is slower do not count for it, for at rest friction has no law; 0 counts all, for torques "
+        "that are measured behind friction",
+    )
+    prior: float = number(
+        default=1.0,
+        least=LEAST_PRIOR,
+        words="how far bodies may be from those that are taken for granted, where the logs do not say, as a logarithm (1: by "
+        "factors of about e)",
+    )
+    condition: float = number(default=1000.0, least=0.0, words="condition number beyond which the reason is UNEXCITED")
+    steps: int = count(default=1000, words="most steps in which bodies that can be are found")
 
 
-@dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class Identified(Reasoned):
-    """The `robot` with the bodies and drives found, all physical; its `base` parameters as the log alone tells them, `value`
-    and standard error `std` (b,); the excitation's `condition` number (columns of equal length); of each joint the root mean
-    square `residual` (n,) [Nm, N] and the `rows` that counted; and the `reason`: SOLVED, UNEXCITED, UNEXPLAINED or
+class IdentifyOptions(LogOptions, who="identify"):
+    """How `identify` fits logs."""
+
+    terms: tuple[Term, ...] = anything(
+        default=("coulomb", "viscous"),
+        words="terms of the drives' friction to find; those left out count as none, but for the rotors, which are then the "
+        "robot's `armature`",
+    )
+    rounds: int = count(default=20, words="most rounds in which the friction's load is found")
+
+    def check(self) -> None:
+        check_terms(self.who, self.terms)
+
+
+class FitResult(Result):
+    """What logs told: the excitation's `condition` number (columns of equal length); of each joint the root mean square
+    `residual` (n,) [Nm, N] and the `rows` that counted (n,); and the `reason`: SOLVED, UNEXCITED, UNEXPLAINED or
     NOT_CONVERGED."""
 
-    robot: Robot
-    base: BaseParameters
-    value: np.ndarray
-    std: np.ndarray
     condition: float
     residual: np.ndarray
     rows: np.ndarray
     reason: Reason
 
+    HELP = {
+        Reason.UNEXCITED: "move more joints, faster, or in other postures",
+        Reason.UNEXPLAINED: "look at the order of the log's columns, and at its units",
+        Reason.NOT_CONVERGED: "allow more steps, or look whether the log is this robot's",
+    }
+
+
+class IdentifyResult(FitResult):
+    """The `robot` with the bodies and drives found, all physical; its `base` parameters as the log alone tells them, `value`
+    and standard error `std` (b,)."""
+
+    robot: Robot
+    base: BaseParameters = static()
+    value: np.ndarray
+    std: np.ndarray
+
     def unknown(self, within: float = 0.01) -> tuple[str, ...]:
-        """In words, the combinations that the log does not tell `within` this share of their value, worst first."""
+        """Names the combinations that the log does not tell `within` this share of their value, worst first."""
         share = self.std / np.maximum(np.abs(self.value), 1e-300)
         return tuple(self.base.words[i] for i in np.argsort(-share, kind="stable") if share[i] > within)
 
     def __repr__(self) -> str:
         known = len(self.base) - len(self.unknown())
-        head = f"Identified {self.robot.name}: {self.reasons}, condition number {self.condition:.0f}, "
+        head = f"IdentifyResult of {self.robot.name}: {self.why}; condition number {self.condition:.0f}, "
         head += f"{known} of {len(self.base)} within 1 %"
         wide = max(map(len, self.base.words), default=0)
-        rows = zip(self.base.words, self.value, self.std, strict=True)
-        told = [f"  {word:<{wide}} {value:11.5g} +- {std:.2g}" for word, value, std in rows]
+        rows = zip(self.base.words, with_errors(self.value, self.std, 11), strict=True)
         left = zip(self.robot.joint_names, self.residual, strict=True)
-        return "\n".join([head, *told, f"  not explained: {', '.join(f'{name} {rms:.3g}' for name, rms in left)} [Nm, N]"])
+        told = f"  not explained: {', '.join(f'{name} {rms:.3g}' for name, rms in left)} [Nm, N]"
+        return "\n".join([head, *(f"  {word:<{wide}} {value}" for word, value in rows), told])
+
+
+def with_errors(values: np.ndarray, errors: np.ndarray, wide: int = 0) -> list[str]:
+    """Each value with its standard error."""
+    return [f"{value:{wide}.5g} +- {error:.2g}" for value, error in zip(values, errors, strict=True)]
 
 
 def identify(
-    robot: Robot, logs: MotionLog | Sequence[MotionLog], options: IdentifyOptions = IdentifyOptions(), **changes: Any
-) -> Identified:
-    """The robot's bodies and friction, from motions that were measured. Host driver.
+    robot: Robot,
+    logs: Motion | Sequence[Motion],
+    *,
+    options: IdentifyOptions | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **changes: Any,
+) -> IdentifyResult:
+    """Finds the robot's bodies and friction from motions that were measured. Host driver.
 
-    `changes` are fields of the options. The robot's own bodies are what is taken for granted where a log says nothing; those
-    without a mass, as 10 g. The drives that come back have their friction at the joint, without a load's share that was not
-    asked for. A log is UNEXPLAINED where bodies and friction leave a third of a joint's torque that is no noise, or nearly all
-    of it though the robot's own bodies ask for as much, or of every joint's, or where they weigh ten times as much as the
-    robot's own: look at the order of its columns, and at its units. Noise changes faster than the motion, filtered or not.
-    `std` counts rows in which the same noise stands, as a filter makes it, as one.
+    A log is a `Motion` (k, n) with q, velocity, acceleration, and the motors' `torque` as the joints feel it [Nm, N] or their
+    `current` [A], which the robot's drives turn into that. The robot's own bodies are what is taken for granted where a log
+    says nothing; those without a mass, as 10 g. The drives that come back have their friction at the joint, without a load's
+    share that was not asked for. `changes` are fields of the options; `progress` is told how many rounds are done, of how many
+    at most.
+
+    A log is UNEXPLAINED where bodies and friction leave a third of a joint's torque that is no noise, or nearly all of it
+    though the robot's own bodies ask for as much, or of every joint's, or where they weigh ten times as much as the robot's
+    own. Noise changes faster than the motion, filtered or not. `std` counts rows in which the same noise stands, as a filter
+    makes it, as one.
 
     Raises `ValueError` for logs and options that cannot be used. Sources: Gautier 1991; Rucker, Wensing 2022.
     """
     check_kind("identify", "robot", robot, Robot)
-    options = changed("identify", options, changes)
-    check_terms("identify", options.terms)
-    check_finite("identify", 0.0, slowest=options.slowest, condition=options.condition)
-    check_finite("identify", LEAST_PRIOR, prior=options.prior)
-    for name in ("rounds", "steps"):
-        as_count(f"identify: {name}", getattr(options, name))
+    options = IdentifyOptions.chosen(options, changes)
     known = np.asarray(robot.parameters, np.float64)
     if not np.isfinite(known).all():
         raise ValueError(f"identify: a body of {robot.name} holds NaN or infinity; write finite mass, com and inertia")
+    told = (lambda done: None) if progress is None else lambda done: progress(done, options.rounds + 1)
     with threadpool_limits(1, "blas"):  # matrices are narrow, and threads would wait for each other
-        return _identified(robot, posed(robot, logs, options.terms, options.slowest), known, options)
+        found = _identified(robot, posed(robot, logs, options.terms, options.slowest), known, options, told)
+    told(options.rounds + 1)
+    return found
 
 
-def _identified(robot: Robot, problem: Problem, known: np.ndarray, options: IdentifyOptions) -> Identified:
+def _identified(
+    robot: Robot, problem: Problem, known: np.ndarray, options: IdentifyOptions, told: Callable[[int], None]
+) -> IdentifyResult:
     base = base_parameters(robot, options.terms)
     if (rows := int(problem.counts.sum())) < 2 * len(base):
         raise ValueError(f"identify: {rows} values for {len(base)} unknowns; log a longer motion, twice as many at least")
     check_alive("identify", robot, problem.torque)
-    fit = base_fit(problem, base, known, options.rounds)
+    fit = base_fit(problem, base, known, options.rounds, told)
+    told(options.rounds)
     found = physical_fit(problem, fit.curve, fit.noise, known, options.prior, options.steps)
-    usual = np.sqrt(np.mean(problem.torque**2, axis=0))
-    arrived = found.residual <= np.maximum(FAR * fit.noise, SHARE * usual)
     strange = _unlike(problem, fit, known) or _far(*(np.sum(x.reshape(-1, INERTIAL)[:, 0]) for x in (found.bodies, known)))
-    well = found.settled and fit.settled and bool(arrived.all())
-    reason = Reason.UNEXCITED if fit.condition > options.condition else Reason.SOLVED
-    reason = Reason.UNEXPLAINED if strange else reason if well else Reason.NOT_CONVERGED
-    return Identified(
+    settled = found.settled and fit.settled and arrived(found.residual, fit.noise, problem.torque)
+    return IdentifyResult(
         robot=_with_friction(robot.with_parameters(found.bodies.ravel()), found.friction, fit.curve.stribeck),
         base=base,
         value=fit.value,
@@ -131,8 +171,19 @@ def _identified(robot: Robot, problem: Problem, known: np.ndarray, options: Iden
         condition=fit.condition,
         residual=found.residual,
         rows=problem.counts.sum(axis=0),
-        reason=reason,
+        reason=verdict(fit.condition > options.condition, settled, strange),
     )
+
+
+def arrived(residual: np.ndarray, noise: np.ndarray, torque: np.ndarray) -> bool:
+    """Whether bodies that can be leave hardly more of the torques (k, n) than noise (n,): a `residual` (n,)."""
+    return bool(np.all(residual <= np.maximum(FAR * noise, SHARE * np.sqrt(np.mean(torque**2, axis=0)))))
+
+
+def verdict(unexcited: bool, settled: bool, strange: bool) -> Reason:
+    """The reason; that nothing explains the log comes first."""
+    reason = Reason.UNEXCITED if unexcited else Reason.SOLVED
+    return Reason.UNEXPLAINED if strange else reason if settled else Reason.NOT_CONVERGED
 
 
 def _unlike(problem: Problem, fit: BaseFit, known: np.ndarray) -> bool:

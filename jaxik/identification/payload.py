@@ -21,16 +21,16 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
-from jaxik.checks.options import as_count, changed, check_finite, check_kind
+from jaxik.checks.options import check_kind
 from jaxik.dynamics.actuation import torque_of_current
 from jaxik.dynamics.recursions import inverse_dynamics, regressor
-from jaxik.identification.fit import FAR, FRESH, HEAVY, LEAST_PRIOR, MOST, SHARE, SLOW
-from jaxik.identification.log import MotionLog, joined
-from jaxik.identification.physical_fit import nearest_bodies
-from jaxik.identification.pseudo_inertia import FROM_PSEUDO, TO_PSEUDO
-from jaxik.identification.weighted_fit import EXACT, condition, repeated, weighted_fit
+from jaxik.identification.base_fit import EXACT, condition, repeated, weighted_fit
+from jaxik.identification.fit import FRESH, HEAVY, MOST, SLOW, FitResult, LogOptions, arrived, verdict, with_errors
+from jaxik.identification.physical_fit import FROM_PSEUDO, TO_PSEUDO, nearest_bodies
+from jaxik.identification.problem import joined
+from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import INERTIAL, Robot, steiner
-from jaxik.reasons import Reason, Reasoned
+from jaxik.reasons import Reason
 from jaxik.spmd.host import host_kernels
 
 APART = 0.1  # [rad, m] by which two logs of one motion may differ, for a load bends an arm
@@ -40,26 +40,14 @@ WATER = 1000.0  # [kg/m3]
 TENSOR = np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])  # where a body's parameters have its inertia
 
 
-@dataclasses.dataclass(frozen=True)
-class LoadOptions:
-    """Rows in which a joint is slower than `slowest` [rad/s, m/s] do not count for it, for at rest friction has no law; 0
-    counts all, of torques that are measured behind friction. `prior` is how far the load may be from a ball of water where the
-    logs do not say, as a logarithm. Beyond a `condition` number of mass and moments the reason is UNEXCITED. A load that can be
-    is found in `steps`, at most."""
-
-    slowest: float = 0.05
-    prior: float = 1.0
-    condition: float = 1000.0
-    steps: int = 1000
+class LoadOptions(LogOptions, who="identify_load"):
+    """How `identify_load` fits logs. A ball of water is what is taken for granted; the condition number is that of mass and
+    moments."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class IdentifiedLoad(Reasoned):
+class LoadResult(FitResult):
     """A load as `robot.with_load(mass, com, inertia)` takes it: `mass` [kg], centre of gravity `com` (3,) [m] and `inertia`
-    (3, 3) [kg m2] about that, in the tip's axes; their standard errors `mass_std`, `com_std`, `inertia_std`, infinite where the
-    logs do not tell; the `condition` number of mass and moments (columns of equal length); of each joint the root mean square
-    `residual` (n,) [Nm, N] and the `rows` that counted; and the `reason`: SOLVED, UNEXCITED, UNEXPLAINED or
-    NOT_CONVERGED."""
+    (3, 3) [kg m2] about that, in the tip's axes; and their standard errors, infinite where the logs do not tell."""
 
     mass: float
     com: np.ndarray
@@ -67,17 +55,13 @@ class IdentifiedLoad(Reasoned):
     mass_std: float
     com_std: np.ndarray
     inertia_std: np.ndarray
-    condition: float
-    residual: np.ndarray
-    rows: np.ndarray
-    reason: Reason
 
     def __repr__(self) -> str:
-        told = lambda value, std: ", ".join(f"{v:.4g} +- {s:.2g}" for v, s in zip(value, std, strict=True))
+        told = lambda value, std: ", ".join(with_errors(np.ravel(value), np.ravel(std)))
         upper = np.triu_indices(3)
         return (
-            f"IdentifiedLoad: {self.reasons}\n"
-            f"  mass {told([self.mass], [self.mass_std])} kg\n"
+            f"LoadResult: {self.why}\n"
+            f"  mass {told(self.mass, self.mass_std)} kg\n"
             f"  com {told(self.com, self.com_std)} m\n"
             f"  inertia xx, xy, xz, yy, yz, zz {told(self.inertia[upper], self.inertia_std[upper])} kg m2"
         )
@@ -85,27 +69,25 @@ class IdentifiedLoad(Reasoned):
 
 def identify_load(
     robot: Robot,
-    loaded: MotionLog | Sequence[MotionLog],
-    empty: MotionLog | Sequence[MotionLog] | None = None,
-    options: LoadOptions = LoadOptions(),
+    loaded: Motion | Sequence[Motion],
+    empty: Motion | Sequence[Motion] | None = None,
+    *,
+    options: LoadOptions | None = None,
     **changes: Any,
-) -> IdentifiedLoad:
-    """The load at the robot's tip, from a log of a motion with it, and better one of the same motion without. Host driver.
+) -> LoadResult:
+    """Finds the load at the robot's tip from a log of a motion with it, and better one of the same motion without. Host driver.
 
-    `robot` is the arm without the load. Both logs are to begin at the same moment of the motion: row by row they are compared,
-    and what they share, errors of the model and friction, goes out. Friction that grows with the load is what the robot's
-    drives say of it. Without `empty` all that the model does not know counts for the load: use the robot that `identify` found.
-    `changes` are fields of the options. Logs are UNEXPLAINED where a load leaves a third of what is between them that is no
-    noise, or weighs ten times as much as the arm: look at the order of their columns, and at their units.
+    `robot` is the arm without the load; logs are those of `identify`. Both are to begin at the same moment of the motion: row
+    by row they are compared, and what they share, errors of the model and friction, goes out. Friction that grows with the load
+    is what the robot's drives say of it. Without `empty` all that the model does not know counts for the load: use the robot
+    that `identify` found. `changes` are fields of the options. Logs are UNEXPLAINED where a load leaves a third of what is
+    between them that is no noise, or weighs ten times as much as the arm.
 
     Raises `ValueError` for logs and options that cannot be used, and for logs of different motions. Sources: Khalil, Gautier,
     Lemoine 2007; Rucker, Wensing 2022.
     """
     check_kind("identify_load", "robot", robot, Robot)
-    options = changed("identify_load", options, changes)
-    check_finite("identify_load", 0.0, slowest=options.slowest, condition=options.condition)
-    check_finite("identify_load", LEAST_PRIOR, prior=options.prior)
-    as_count("identify_load: steps", options.steps)
+    options = LoadOptions.chosen(options, changes)
     q, qdot, qddot, torque = joined(robot, loaded, "identify_load")
     missing, counts = _missing(robot, q, qdot, qddot, torque), np.abs(qdot) >= options.slowest
     if empty is not None:
@@ -127,7 +109,7 @@ def identify_load(
 
 def _found(
     columns: np.ndarray, missing: np.ndarray, counts: np.ndarray, torque: np.ndarray, qdot: np.ndarray, options: LoadOptions
-) -> tuple[IdentifiedLoad, bool]:
+) -> tuple[LoadResult, bool]:
     """The load, and whether it is no load that is between the logs: of Y (k, n, 10), Y phi (k, n), which rows count (k, n), and
     the torques and the rates (k, n)."""
     usual = np.sqrt(np.mean(torque**2, axis=0))
@@ -139,14 +121,12 @@ def _found(
         columns, missing, 1.0 / fit.noise[joint], known, np.zeros(0, bool), options.prior, options.steps
     )
     residual = np.sqrt(np.bincount(joint, (columns @ bodies[0] - missing) ** 2, len(usual)) / rows)
-    arrived = np.all(residual <= np.maximum(FAR * fit.noise, SHARE * usual))
     mass, com, inertia = _split(_as_body(bodies[0]))
     left = np.where(counts, whole[0] @ fit.value - whole[1], 0.0)
     repeats = repeated(left, counts)
     mass_std, com_std, inertia_std = _split(fit.std(repeats, _slope(bodies[0])))
     excited = condition(columns[:, :4])
-    reason = Reason.UNEXCITED if excited > options.condition else Reason.SOLVED
-    found = IdentifiedLoad(
+    found = LoadResult(
         mass=float(mass),
         com=com,
         inertia=inertia,
@@ -156,7 +136,7 @@ def _found(
         condition=excited,
         residual=residual,
         rows=counts.sum(axis=0),
-        reason=reason if settled and arrived else Reason.NOT_CONVERGED,
+        reason=verdict(excited > options.condition, settled and arrived(residual, fit.noise, torque), False),
     )
     return found, _unlike(left, np.where(counts, whole[1], 0.0), np.where(counts, torque, 0.0), qdot, repeats)
 

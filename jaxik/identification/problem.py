@@ -4,15 +4,63 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.identification.columns import Term, body_columns, friction_columns, ratios
-from jaxik.identification.identifiable import BaseParameters
-from jaxik.identification.log import MotionLog, joined
-from jaxik.kinematics.robot import INERTIAL, Robot
+from jaxik.checks.arrays import numbers
+from jaxik.identification.identifiable import BaseParameters, Term, body_columns, friction_columns, ratios
+from jaxik.kinematics.motion import Motion
+from jaxik.kinematics.robot import INERTIAL, Robot, beyond_limits
+
+FAR = 0.1  # [rad, m] beyond its limits, where no robot is that is measured in radians and metres
+
+
+def joined(
+    robot: Robot, logs: Motion | Sequence[Motion], who: str = "identify"
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, rates, accelerations and the motors' torques at the joints (K, n) of all logs; springs are taken out.
+
+    Raises `ValueError` for other shapes, for what is not finite, for joints that are far beyond their limits, and for currents
+    of a robot without drives.
+    """
+    logs = [logs] if isinstance(logs, Motion) or not isinstance(logs, Iterable) else list(logs)
+    if not logs:
+        raise ValueError(f"{who}: no log; write a jaxik.kinematics.Motion, or several")
+    rows = [_checked(f"{who}: log {i}", robot, log) for i, log in enumerate(logs, 1)]
+    q, qdot, qddot, torque = (np.concatenate(each) for each in zip(*rows, strict=True))
+    return q, qdot, qddot, torque
+
+
+def _checked(who: str, robot: Robot, log: Motion) -> list[np.ndarray]:
+    if not isinstance(log, Motion):
+        raise ValueError(f"{who} is a {type(log).__name__}; write a jaxik.kinematics.Motion")
+    if (log.torque is None) == (log.current is None):
+        raise ValueError(f"{who} has {'no' if log.torque is None else 'both'} torque and current; give one of them")
+    effort = "torque" if log.current is None else "current"
+    arrays = {name: numbers(f"{who}: {name}", getattr(log, name)) for name in ("q", "velocity", "acceleration", effort)}
+    shape = (*arrays["q"].shape[:1], robot.num_joints)
+    for name, array in arrays.items():
+        if array.shape != shape or not array.size:
+            raise ValueError(f"{who}: {name} of shape {array.shape}; allowed: (k, {robot.num_joints}), the same k for all")
+        if not np.isfinite(array).all():
+            row, joint = np.argwhere(~np.isfinite(array))[0]
+            raise ValueError(f"{who}: {name} holds {array[row, joint]} in row {row}, {robot.joint_names[joint]}; leave it out")
+    if told := beyond_limits(robot, arrays["q"], FAR):
+        raise ValueError(f"{who}: {told} If not, give the robot wider limits")
+    return [arrays["q"], arrays["velocity"], arrays["acceleration"], _effort(robot, who, arrays)]
+
+
+def _effort(robot: Robot, who: str, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """What the motors and the springs give, less what the springs are known to give."""
+    if "current" in arrays:
+        if not robot.drives:
+            raise ValueError(f"{who}: currents of {robot.name}, which has no drives; give torque, or use robot.with_drives")
+        gain = np.array([float(drive.torque_per_current) for drive in robot.drives])
+        arrays["torque"] = gain * arrays["current"]
+    springs = np.array([float(drive.spring_force) for drive in robot.drives]) if robot.drives else 0.0
+    return np.asarray(arrays["torque"] + springs)
 
 
 class Curve(NamedTuple):
@@ -124,7 +172,7 @@ def check_alive(who: str, robot: Robot, torque: np.ndarray) -> None:
             raise ValueError(f"{who}: the torque of {name} is 0 in all rows; a dead channel tells nothing, log it again")
 
 
-def posed(robot: Robot, logs: MotionLog | Sequence[MotionLog], terms: tuple[Term, ...], slowest: float) -> Problem:
+def posed(robot: Robot, logs: Motion | Sequence[Motion], terms: tuple[Term, ...], slowest: float) -> Problem:
     """Raises `ValueError` for logs that cannot be used, and where a joint never moves and its friction is asked for."""
     q, qdot, qddot, torque = joined(robot, logs)
     rotor = np.zeros_like(torque) if "armature" in terms else qddot * np.asarray(robot.armature)

@@ -6,6 +6,7 @@ from jaxik.kinematics.link_distance_table import PairTable
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.shapes import Box, ConvexPart, Surface, Unchecked, Volume
+from jaxik.kinematics.smoothing import smooth
 from jaxik.kinematics.task import Task
 
 __all__ = [
@@ -23,5 +24,6 @@ __all__ = [
     "jacobian",
     "link_frames",
     "manipulability",
+    "smooth",
     "turns",
 ]

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+import jax
+import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import Array
@@ -42,6 +45,15 @@ class Motion(Pytree):
     def state(self) -> tuple[Any, Any, Any]:
         """q, velocity and acceleration, in the order in which `inverse_dynamics` takes them."""
         return self.q, self.velocity, self.acceleration
+
+    def __getitem__(self, rows: Any) -> Motion:
+        """The moment, or the samples, that an index, slice or mask picks along the first axes."""
+        if np.ndim(self.q) < 2:
+            raise TypeError("a single moment of a motion has no samples to pick")
+        return jax.tree_util.tree_map(lambda x: x[rows], self)
+
+    def __iter__(self) -> Iterator[Motion]:
+        return (self[k] for k in range(len(self.q)))
 
     def needed(self, who: str, name: str) -> Any:
         """One of its fields. Raises `ValueError`, `who` asking, where it is None."""

@@ -87,7 +87,7 @@ class Steering:
     def store(self) -> Path | None:
         """The recording as a file, as `planning.save_trajectory` writes it; None, and why on the page, where that fails."""
         try:
-            file = save_trajectory(self.file.value, recorded(self.rows, PERIOD), PERIOD, self.robot.joint_names)
+            file = save_trajectory(recorded(self.rows, PERIOD), self.file.value, robot=self.robot, dt=PERIOD)
         except (ValueError, OSError) as error:
             self.kept.content = boxed(str(error))
             return None

@@ -10,12 +10,13 @@ from scipy.spatial.transform import Rotation
 
 import jaxik
 from jaxik.dynamics import Body, Drive, Friction, friction_torque, inverse_dynamics
-from jaxik.identification import MotionLog, base_parameters, excite, identify, pseudo_inertias, smoothed
+from jaxik.identification import ExciteOptions, base_parameters, excite, identify
 from jaxik.identification.clear_motion import ClearSpace
-from jaxik.identification.columns import body_columns, side_by_side
-from jaxik.identification.excitation import ExcitationOptions, _Search
+from jaxik.identification.excitation import _Search
+from jaxik.identification.identifiable import body_columns, side_by_side
+from jaxik.identification.physical_fit import Bodies, pseudo_inertias
 from jaxik.identification.problem import Curve, posed
-from jaxik.identification.pseudo_inertia import Bodies
+from jaxik.kinematics import Motion, smooth
 from jaxik.reasons import Reason
 
 ARM = jaxik.load("crops_v2").part(0, 3)  # a slide, a vertical and a horizontal axis, with drives
@@ -42,7 +43,8 @@ def excitation():
 
 @pytest.fixture(scope="module")
 def motion(excitation):
-    return excitation.at(np.arange(0.0, 20.0, 0.05))
+    found = excitation.at(np.arange(0.0, 20.0, 0.05))
+    return found.q, found.velocity, found.acceleration
 
 
 def test_base_parameters_by_name():
@@ -87,7 +89,10 @@ def test_bodies_that_can_be():
 
 
 def test_excitation_keeps_the_limits(excitation):
-    q, qdot, qddot = excitation.at(np.linspace(0.0, 20.0, 5001))
+    moved = excitation.at(np.linspace(0.0, 20.0, 5001))
+    q, qdot, qddot = moved.q, moved.velocity, moved.acceleration
+    assert repr(excitation).startswith(f"ExciteResult: solved; condition number {excitation.condition:.0f}, errors")
+    np.testing.assert_allclose(excitation.motion.q, excitation.at(excitation.motion.time).q, rtol=1e-12)
     lower, upper = ARM.finite_limits
     assert np.all((q > lower) & (q < upper)) and np.abs(qdot).max() <= 2.001 and np.abs(qddot).max() <= 4.001
     assert excitation.gain > 1.0 and excitation.condition < 500.0
@@ -101,7 +106,7 @@ WALL = jaxik.make_scene(spheres=[[-0.3, 0.85, 1.1, 0.15]])  # within reach
 def test_the_search_knows_its_slope():
     """By coefficients and by shares, nearness to the scene and to itself among it."""
     space = ClearSpace("excite", ARM, WALL, 0.02)
-    search = _Search(ARM, space, np.array([0.5, 0.6, -0.4]), ExcitationOptions(samples=40))
+    search = _Search(ARM, space, np.array([0.5, 0.6, -0.4]), ExciteOptions(samples=40))
     x = np.vstack([np.random.default_rng(0).normal(size=(10, 3)), [[0.9, 0.7, 0.8]]]).ravel()
     _, slope = search(x)
     near = search.scaled(search.series, x.reshape(11, 3)[:-1])[0] * x[-3:]
@@ -114,9 +119,9 @@ def test_the_search_knows_its_slope():
 
 def test_excitation_keeps_clear():
     """Of a sphere and of itself, by coal's distances of the robot's volumes."""
-    found = excite(ARM, WALL, margin=0.02, velocity=2.0, starts=5, steps=10, samples=50)
+    found = excite(ARM, scene=WALL, margin=0.02, velocity=2.0, starts=5, steps=10, samples=50)
     bold = excite(ARM, margin=None, velocity=2.0, starts=5, steps=10, samples=50)
-    distances = [min(coals(q) for q in motion.at(np.linspace(0.0, 10.0, 101))[0]) for motion in (found, bold)]
+    distances = [min(coals(q) for q in motion.at(np.linspace(0.0, 10.0, 101)).q) for motion in (found, bold)]
     assert distances[0] >= 0.02 - 1e-5 and distances[1] < 0.0
     assert found.condition < 100.0
 
@@ -145,10 +150,12 @@ def test_identification_from_noisy_logs(motion):
     motors += rng.normal(size=motors.shape) * 0.003 * motors.std(axis=0)
     half = len(motors) // 2
     logs = [
-        MotionLog(*(x[:half] for x in motion), torque=motors[:half]),
-        MotionLog(*(x[half:] for x in motion), current=motors[half:] / gain),
+        Motion(*(x[:half] for x in motion), torque=motors[:half]),
+        Motion(*(x[half:] for x in motion), current=motors[half:] / gain),
     ]
-    found = identify(ARM, logs, terms=TERMS)
+    told = []
+    found = identify(ARM, logs, progress=lambda *each: told.append(each), terms=TERMS)
+    assert told[0] == (0, 21) and told[-1] == (21, 21) and told == sorted(told)
     assert found.reason == Reason.SOLVED and found.success
     truth = found.base.matrix[:, :30] @ np.asarray(true.parameters)
     bodies = slice(0, 9)
@@ -164,7 +171,7 @@ def test_identification_from_noisy_logs(motion):
     assert abs(first.breakaway - (8.4 + 1.125)) <= 0.1 and abs(second.breakaway - (12.8 + 7.0)) <= 0.2  # tables 3.4 and 3.6
     assert abs(second.stribeck_velocity - 81.7 / 100) <= 0.05 and abs(first.load - 50 * 2.1e-3) <= 0.02
     lines = repr(found).splitlines()
-    assert lines[0].startswith("Identified crops_v2: solved, condition number ") and "joint3 0." in lines[-1]
+    assert lines[0].startswith("IdentifyResult of crops_v2: solved; condition number ") and "joint3 0." in lines[-1]
     assert lines[1].split() == [*found.base.words[0].split(), f"{found.value[0]:.5g}", "+-", f"{found.std[0]:.2g}"]
     again = np.asarray(torques(found.robot, *motion))
     assert np.all(np.sqrt(np.mean((again - torque) ** 2, axis=0)) <= 0.01 * torque.std(axis=0))
@@ -174,7 +181,7 @@ def test_torque_without_friction_is_exact(motion):
     """Sensors behind the gears, and no noise; the robot's own numbers stay where nothing is told."""
     true = another().with_drives(())
     motion = [x[::2] for x in motion]
-    found = identify(ARM.with_drives(()), MotionLog(*motion, torque=np.asarray(torques(true, *motion))), terms=())
+    found = identify(ARM.with_drives(()), Motion(*motion, torque=np.asarray(torques(true, *motion))), terms=())
     truth = found.base.matrix @ np.asarray(true.parameters)
     np.testing.assert_allclose(found.value, truth, rtol=1e-8, atol=1e-8)
     assert not found.unknown() and not found.robot.drives
@@ -187,7 +194,7 @@ def test_the_drives_found_rub_as_was_measured(motion):
     true = ARM.with_drives([Drive(friction=uneven), Drive(friction=uneven), Drive(ratio=2.0, friction=uneven)])
     torque = np.asarray(torques(true, *motion))
     rub = np.asarray(rubbed(true, motion[1], torque))
-    found = identify(true, MotionLog(*motion, torque=torque - rub), terms=("coulomb", "viscous", "asymmetry"))
+    found = identify(true, Motion(*motion, torque=torque - rub), terms=("coulomb", "viscous", "asymmetry"))
     assert found.reason == Reason.SOLVED
     np.testing.assert_allclose(rubbed(found.robot, motion[1], torque), rub, atol=2e-3)
 
@@ -195,7 +202,7 @@ def test_the_drives_found_rub_as_was_measured(motion):
 def test_rows_that_are_turned_say_the_same(motion):
     """Scalar products of all columns, joint by joint, are those of the rows as they were measured."""
     rng = np.random.default_rng(0)
-    log = MotionLog(*motion, torque=rng.normal(size=motion[0].shape))
+    log = Motion(*motion, torque=rng.normal(size=motion[0].shape))
     problem = posed(ARM, log, TERMS, 0.05)
     curve = Curve(rng.normal(size=motion[0].shape), np.full(3, 0.3))
     columns, bend, torque, joint = problem.rows(curve)
@@ -216,7 +223,7 @@ def test_a_file_without_masses(motion, share, reason):
     torque = share * np.asarray(torques(dataclasses.replace(another(), drives=(), armature=np.zeros(3)), *motion))
     torque += np.random.default_rng(0).normal(size=torque.shape) * 0.003 * torque.std(axis=0)
     bare = dataclasses.replace(ARM.with_parameters(np.zeros(30)), drives=(), armature=np.zeros(3))
-    found = identify(bare, MotionLog(*motion, torque=torque), terms=())
+    found = identify(bare, Motion(*motion, torque=torque), terms=())
     assert found.reason == reason
     explained = np.all(np.abs(np.asarray(torques(found.robot, *motion)) - torque) <= 0.03 * torque.std(axis=0))
     assert explained == (reason == Reason.SOLVED)
@@ -227,8 +234,8 @@ def test_a_poor_log_is_told(motion):
     still = [x[::2].copy() for x in motion]
     for x in still:
         x[:, 2] = 0.4 if x is still[0] else 0.0
-    found = identify(ARM, MotionLog(*still, torque=np.asarray(torques(ARM, *still))), terms=())
-    assert found.reason == Reason.UNEXCITED and found.reasons == "unexcited" and not found.success
+    found = identify(ARM, Motion(*still, torque=np.asarray(torques(ARM, *still))), terms=())
+    assert found.reason == Reason.UNEXCITED and found.why.startswith("unexcited; move more joints") and not found
     assert "Izz(joint3)" in found.unknown() and np.isinf(found.std).any() and found.condition > 1e6
 
 
@@ -239,11 +246,11 @@ FAULTS = [
     (dict(torque=np.full((4, 3), np.nan)), "log 1: torque holds nan in row 0, joint1"),
     (dict(q=np.full((4, 3), 20.0) * [0, 0, 1]), r"log 1: joint3 is 20 in row 0, .* \[rad\]; are these degrees\? If not, give"),
     (dict(torque=None), "log 1 has no torque and current; give one of them"),
-    (dict(qdot=None), "log 1: qdot: NoneType that is no array of numbers"),
+    (dict(velocity=None), "log 1: velocity: NoneType that is no array of numbers"),
     (dict(q=0.0), r"log 1: q of shape \(\); allowed: \(k, 3\)"),
     (dict(terms="load"), "identify: terms is load; write a tuple of coulomb, breakaway"),
     (dict(terms=("load", "load")), "identify: terms has load 2 times; write it once"),
-    (dict(logs=None), "log 1 is a NoneType; write a jaxik.identification.MotionLog"),
+    (dict(logs=None), "log 1 is a NoneType; write a jaxik.kinematics.Motion"),
     (dict(robot=ARM.with_parameters(np.full(30, np.nan))), "identify: a body of crops_v2 holds NaN or infinity"),
     (dict(prior=0.0), "prior is 0.0; it is a finite number of at least 1e-06"),
     (dict(terms=()), "12 values for 9 unknowns; log a longer motion"),
@@ -253,10 +260,10 @@ FAULTS = [
 @pytest.mark.usefixtures("untyped")
 @pytest.mark.parametrize("change, line", FAULTS, ids=[str(i) for i in range(len(FAULTS))])
 def test_faults_in_one_line(change, line):
-    rows = {name: np.zeros((4, 3)) for name in ("q", "qdot", "qddot", "torque")}
+    rows = {name: np.zeros((4, 3)) for name in ("q", "velocity", "acceleration", "torque")}
     rows |= {name: change[name] for name in rows if name in change}
     with pytest.raises(ValueError, match=line) as caught:
-        given = {"robot": ARM, "logs": MotionLog(**rows)} | {name: x for name, x in change.items() if name not in rows}
+        given = {"robot": ARM, "logs": Motion(**rows)} | {name: x for name, x in change.items() if name not in rows}
         identify(**given)
     assert "\n" not in str(caught.value)
 
@@ -265,8 +272,8 @@ def test_faults_in_one_line(change, line):
     "change, line",
     [
         (dict(samples=10), "excite: 10 samples of 5 harmonics; allowed: at least 4 for each"),
-        (dict(share=1.5), "excite: share is 1.5; it is above 0, and 1 at most"),
-        (dict(period=0.0), "excite: period is 0; it is above 0"),
+        (dict(share=1.5), "excite: share is 1.5; allowed: a finite number at most 1"),
+        (dict(period=0.0), "excite: period is 0.0; allowed: a finite number above 0"),
         (dict(margin=0.3), "excite: margin=0.3, the middle has a clearance of .* m; give a posture as middle"),
         (dict(middle=[0.5, 3.0, 0.0]), "excite: the middle of joint2 is not within share=0.9 of its limits"),
         (dict(robot=dataclasses.replace(ARM, volumes=(), self_pairs=())), "no collision geometry; .*; or write margin=None"),
@@ -313,8 +320,8 @@ def test_filtered_noise_is_counted_once(six):
         off = []
         for _ in range(4):
             noisy = torque + 0.1 * torque.std(axis=0) * rng.normal(size=torque.shape)
-            noisy = smoothed(time, noisy, cutoff=8.0).value if filtered else noisy
-            found = identify(known, MotionLog(*wave, torque=noisy), terms=())
+            noisy = smooth(Motion(wave[0], time=time, torque=noisy), 8.0).torque if filtered else noisy
+            found = identify(known, Motion(*wave, torque=noisy), terms=())
             assert found.reason == Reason.SOLVED
             off.append((found.value - true) / found.std)
         assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.5 and np.mean(np.abs(off) < 2.0) > 0.85
@@ -334,8 +341,8 @@ def test_a_log_that_nothing_explains_says_so(name, six):
     _, wave, torque, _ = six
     rng = np.random.default_rng(2)
     known, noisy = dataclasses.replace(SIX, drives=()), torque + rng.normal(0.0, 0.1, torque.shape)
-    assert identify(known, MotionLog(*wave, torque=noisy), terms=()).reason == Reason.SOLVED
-    found = identify(known, MotionLog(*wave, torque=STRANGE[name](noisy, rng)), terms=())
+    assert identify(known, Motion(*wave, torque=noisy), terms=()).reason == Reason.SOLVED
+    found = identify(known, Motion(*wave, torque=STRANGE[name](noisy, rng)), terms=())
     assert found.reason == Reason.UNEXPLAINED and "unexplained" in repr(found)
 
 
@@ -344,13 +351,13 @@ def test_a_joint_that_drowns_in_noise_is_not_strange(cutoff, six):
     """A last joint has little to carry: its sensor's noise is most of what it shows, and the log is right all the same."""
     time, wave, torque, _ = six
     noisy = torque + 3.0 * torque[:, -1].std() * np.random.default_rng(4).normal(size=torque.shape)
-    noisy = smoothed(time, noisy, cutoff=cutoff).value if cutoff else noisy
+    noisy = smooth(Motion(wave[0], time=time, torque=noisy), cutoff).torque if cutoff else noisy
     known = dataclasses.replace(SIX, drives=())
-    found = identify(known, MotionLog(*wave, torque=noisy), terms=())
+    found = identify(known, Motion(*wave, torque=noisy), terms=())
     assert found.reason == Reason.SOLVED
     assert found.residual[-1] > (0.4 if cutoff else 0.9) * np.sqrt(np.mean(noisy[:, -1] ** 2))
     exchanged = noisy[:, [0, 2, 1, 3, 4, 5]]
-    assert identify(known, MotionLog(*wave, torque=exchanged), terms=()).reason == Reason.UNEXPLAINED
+    assert identify(known, Motion(*wave, torque=exchanged), terms=()).reason == Reason.UNEXPLAINED
 
 
 @pytest.mark.parametrize("dead", [slice(0, 6), slice(2, 3)])
@@ -359,4 +366,4 @@ def test_a_dead_channel_is_named(dead, six):
     silent = torque.copy()
     silent[:, dead] = 0.0
     with pytest.raises(ValueError, match=f"the torque of {SIX.joint_names[dead.start]} is 0 in all rows; a dead channel"):
-        identify(SIX, MotionLog(*wave, torque=silent), terms=())
+        identify(SIX, Motion(*wave, torque=silent), terms=())

@@ -150,5 +150,5 @@ def test_profiles_are_traced_and_written(tmp_path):
     with jax.enable_x64(True):
         at = jax.jit(jax.vmap(moved.at))(state.time[:-1] * moved.duration / state.time[-1])
     np.testing.assert_allclose(at.q, state.q[:-1], atol=1e-12)
-    table = np.load(save_trajectory(tmp_path / "x.npz", moved, 0.05, list("abc")))
+    table = np.load(save_trajectory(moved, tmp_path / "x.npz", robot=list("abc"), dt=0.05))
     np.testing.assert_array_equal(table["q"], state.q)

@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 
 import jaxik
 from jaxik.dynamics.recursions import gravity_torque, inverse_dynamics
+from jaxik.kinematics import Motion, smooth
 from jaxik.planning import JointPath, load_trajectory, save_trajectory, time_optimal
 from jaxik.planning.trajectory import padded
 
@@ -193,42 +194,58 @@ def test_mistakes_are_named(call, said):
 def test_files_hold_what_was_sampled(tmp_path):
     moved, names = time_optimal(JointPath.spline(_paths(1, n=3)[0]), 1.0, 2.0), ["a", "b", "c"]
     state = moved.sample(0.03)
-    table = np.genfromtxt(save_trajectory(tmp_path / "x.csv", moved, 0.03, names), delimiter=",", names=True)
+    table = np.genfromtxt(save_trajectory(moved, tmp_path / "x.csv", robot=names, dt=0.03), delimiter=",", names=True)
     np.testing.assert_array_equal(table["time"], state.time)
     np.testing.assert_array_equal(table["velocity_b"], state.velocity[:, 1])
-    held = np.load(save_trajectory(tmp_path / "x.npz", moved, 0.03, names))
+    held = np.load(save_trajectory(moved, tmp_path / "x.npz", robot=names, dt=0.03))
     np.testing.assert_array_equal(held["acceleration"], state.acceleration)
-    message = json.loads(save_trajectory(tmp_path / "x.json", moved, 0.03, names).read_text())
+    message = json.loads(save_trajectory(moved, tmp_path / "x.json", robot=names, dt=0.03).read_text())
     assert message["joint_names"] == names and len(message["points"]) == len(state.time)
     last = message["points"][-1]
     assert last["positions"] == state.q[-1].tolist()
     assert last["time_from_start"]["sec"] + 1e-9 * last["time_from_start"]["nanosec"] == pytest.approx(state.time[-1], abs=1e-9)
-    for file, given, said in (("x.txt", names, "allowed endings"), ("x.csv", names[:2], "2 joint_names of 3 joints")):
+    for file, given, said in (("x.txt", names, "allowed endings"), ("x.csv", names[:2], "2 joint names of q of shape")):
         with pytest.raises(ValueError, match=said):
-            save_trajectory(tmp_path / file, moved, 0.03, given)
+            save_trajectory(moved, tmp_path / file, robot=given, dt=0.03)
     for file in ("x.csv", "x.npz", "x.json"):
-        found = load_trajectory(tmp_path / file, names[::-1])
+        found = load_trajectory(tmp_path / file, robot=names[::-1])
         np.testing.assert_allclose(found.time, held["time"], atol=1e-9)
         for kind in ("q", "velocity", "acceleration"):
             np.testing.assert_allclose(getattr(found, kind), held[kind][:, ::-1], atol=1e-9)
         with pytest.raises(ValueError, match=f"{file}: no (column q_z; write the|joint 'z'; its joint_names: a, b, c)"):
-            load_trajectory(tmp_path / file, ["z"])
+            load_trajectory(tmp_path / file, robot=["z"])
 
 
 @pytest.mark.parametrize("file", ["x.csv", "x.NPZ", "x.Json"])
 def test_files_hold_a_motion_that_stands_still(tmp_path, file):
     """Whatever the ending's case; no file of another name is left beside it."""
     still = time_optimal(JointPath.polyline([[1.0, 2.0], [1.0, 2.0]]), 1.0, 2.0)
-    assert save_trajectory(tmp_path / file, still, 0.01, ["a", "b"]) == tmp_path / file
+    assert save_trajectory(still, tmp_path / file, robot=["a", "b"], dt=0.01) == tmp_path / file
     assert [each.name for each in tmp_path.iterdir()] == [file]
-    found = load_trajectory(tmp_path / file, ["b", "a"])
+    found = load_trajectory(tmp_path / file, robot=["b", "a"])
     np.testing.assert_array_equal(found.time, [0.0])
     np.testing.assert_array_equal(np.concatenate(found.state), [[2.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
     for names, said in ((["a", "a"], ": 'a' stands twice"), ("ab", " is ab; write one name"), ([1, 2], " is .1, 2.; write")):
-        with pytest.raises(ValueError, match=f"save_trajectory: joint_names{said}"):
-            save_trajectory(tmp_path / file, still, 0.01, names)
-        with pytest.raises(ValueError, match=f"load_trajectory: joint_names{said}"):
-            load_trajectory(tmp_path / file, names)
+        with pytest.raises(ValueError, match=f"save_trajectory: robot{said}"):
+            save_trajectory(still, tmp_path / file, robot=names, dt=0.01)
+        with pytest.raises(ValueError, match=f"load_trajectory: robot{said}"):
+            load_trajectory(tmp_path / file, robot=names)
+
+
+@pytest.mark.parametrize("file", ["x.csv", "x.npz", "x.json"])
+def test_files_hold_a_log(tmp_path, file):
+    """What was measured at its own times, of a robot by its joints' names; ROS' message has no currents."""
+    robot, rng = jaxik.load("planar2"), np.random.default_rng(0)
+    q, torque, current = rng.normal(size=(3, 5, 2))
+    log = Motion(q, time=np.array([0.0, 0.1, 0.2, 0.4, 0.5]), torque=torque, current=current)
+    found = load_trajectory(save_trajectory(log, tmp_path / file, robot=robot), robot=robot)
+    whole = smooth(log)
+    for kind in ("time", "q", "velocity", "acceleration", "torque"):
+        np.testing.assert_allclose(getattr(found, kind), getattr(whole, kind), rtol=1e-12)
+    assert found.current is None if file == "x.json" else np.array_equal(found.current, current)
+    for broken, said in ((Motion(q), "save_trajectory: the motion has no time"), (log[0], "allowed: .k,. that grow")):
+        with pytest.raises(ValueError, match=said):
+            save_trajectory(broken, tmp_path / file, robot=robot)
 
 
 def _torques(robot, moved):
@@ -308,7 +325,7 @@ def test_drives_that_cannot_hold_the_arm_are_named(tmp_path):
     assert alone.reasons == "solved" and alone.duration == moved.duration[1]
     for row, said in ((0, "lasts nan s; its drives cannot hold the arm still"), (2, "lasts nan s; its path holds what is no")):
         with pytest.raises(ValueError, match=said):
-            save_trajectory(tmp_path / "x.csv", _row(moved, row), 0.01, robot.joint_names)
+            save_trajectory(_row(moved, row), tmp_path / "x.csv", robot=robot, dt=0.01)
 
 
 def test_what_is_not_given_is_the_robots(tmp_path):

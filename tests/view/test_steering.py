@@ -52,7 +52,7 @@ def test_the_arm_follows_a_drag_and_is_recorded(page, tmp_path):
     for ending in ("csv", "npz", "json"):
         steering.file.value = str(tmp_path / f"motion.{ending}")
         assert steering.store() == tmp_path / f"motion.{ending}"
-        state = load_trajectory(tmp_path / f"motion.{ending}", page.robot.joint_names)
+        state = load_trajectory(tmp_path / f"motion.{ending}", robot=page.robot)
         assert np.allclose(state.q, rows, atol=1e-9) and np.allclose(np.diff(state.time), PERIOD, atol=1e-6)
     steering.file.value = "motion.txt"
     assert steering.store() is None and "allowed endings: .csv, .npz, .json" in steering.kept.content

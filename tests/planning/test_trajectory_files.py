@@ -25,7 +25,7 @@ PLAIN = "time,a,b\n0,0.5,-0.5\n0.1,0.6,-0.4\n0.3,0.7,-0.2\n"
     ],
 )
 def test_tables_of_others(tmp_path, text):
-    state = load_trajectory(write(tmp_path, "mine.csv", text), ["b", "a"])
+    state = load_trajectory(write(tmp_path, "mine.csv", text), robot=["b", "a"])
     np.testing.assert_array_equal(state.time, [0.0, 0.1, 0.3])
     np.testing.assert_array_equal(state.q, [[-0.5, 0.5], [-0.4, 0.6], [-0.2, 0.7]])
     np.testing.assert_allclose(state.velocity[:, 0], 1.0)
@@ -54,7 +54,7 @@ def test_tables_of_others(tmp_path, text):
 )
 def test_what_is_wrong_in_a_table_is_named(tmp_path, text, line):
     with pytest.raises(ValueError) as error:
-        load_trajectory(write(tmp_path, "mine.csv", text), ["a", "b"])
+        load_trajectory(write(tmp_path, "mine.csv", text), robot=["a", "b"])
     parts = line.split(".*")
     assert "\n" not in str(error.value) and str(error.value).removeprefix(f"{tmp_path}/").startswith(parts[0])
     assert all(part in str(error.value) for part in parts)
@@ -77,16 +77,16 @@ def test_what_is_wrong_in_arrays_is_named(tmp_path):
     ):
         np.savez(tmp_path / "x.npz", **arrays)
         with pytest.raises(ValueError, match=f"x.npz.*{said}"):
-            load_trajectory(tmp_path / "x.npz", names)
+            load_trajectory(tmp_path / "x.npz", robot=names)
     for content in (b"PK\x03\x04 no archive", b"text", b""):
         with pytest.raises(ValueError, match=r"x\.npz: cannot be read"):
-            load_trajectory(write(tmp_path, "x.npz", content), names)
+            load_trajectory(write(tmp_path, "x.npz", content), robot=names)
 
 
 def test_what_is_wrong_in_a_message_is_named(tmp_path):
     points = [{"positions": [k, 2.0 * k], "velocities": [], "time_from_start": {"sec": k, "nanosec": 0}} for k in range(3)]
     message = {"joint_names": ["a", "b"], "points": points}
-    state = load_trajectory(write(tmp_path, "x.json", json.dumps(message)), ["a", "b"])  # no velocities, as ROS says it
+    state = load_trajectory(write(tmp_path, "x.json", json.dumps(message)), robot=["a", "b"])  # no velocities, as ROS says it
     np.testing.assert_allclose(state.velocity, [[1.0, 2.0]] * 3)
     for old, new, said in (
         ('"joint_names"', '"names"', "no joint_names; write joint_names, and points with"),
@@ -100,4 +100,4 @@ def test_what_is_wrong_in_a_message_is_named(tmp_path):
         ('"points": [', '"points": [], "more": [', "cannot be read .it has no points"),
     ):
         with pytest.raises(ValueError, match=f"x.json: {said}"):
-            load_trajectory(write(tmp_path, "x.json", json.dumps(message).replace(old, new, 1)), ["a", "b"])
+            load_trajectory(write(tmp_path, "x.json", json.dumps(message).replace(old, new, 1)), robot=["a", "b"])
