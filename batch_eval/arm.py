@@ -75,7 +75,7 @@ def crop(points: int = 150) -> jaxik.Scene:
     """One fruit among 150 leaf points, ten leaves of fifteen, as in Van Henten et al. 2010, sec. 5."""
     rng = np.random.default_rng(0)
     builder = jaxik.collision.SceneBuilder("crop", point_radius=0.01)
-    builder.add_fruit("fruit_1", (0.5, 0.66, 0.6), length=0.3, radius=0.02)
+    builder.add_mark("fruit_1", (0.5, 0.66, 0.6), length=0.3, radius=0.02)
     for i in range(points // 15):
         middle = np.array([0.5, 0.75, 0.65]) + rng.uniform(-1.0, 1.0, 3) * np.array([0.4, 0.1, 0.4])
         builder.add(f"leaf_{i + 1}", points=middle + rng.normal(0.0, 0.04, (15, 3)))
@@ -96,7 +96,7 @@ def scan_entry(angles: int = 144, slides: int = 82) -> Entry:
     The seconds to compile are those of the first scan.
     """
     robot, scene = jaxik.load("p6r"), crop()
-    run = lambda: jaxik.harvesting.scan(robot, scene, scene.fruits[0], angles, slides) and None
+    run = lambda: jaxik.harvesting.scan(robot, scene, scene.marks[0], angles, slides) and None
     start = time.perf_counter()
-    solved = jaxik.harvesting.scan(robot, scene, scene.fruits[0], angles, slides).reason == jaxik.Reason.SOLVED
+    solved = jaxik.harvesting.scan(robot, scene, scene.marks[0], angles, slides).reason == jaxik.Reason.SOLVED
     return Entry("jaxik", angles * slides * 8, run, time.perf_counter() - start, success=float(solved))

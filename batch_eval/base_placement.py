@@ -27,8 +27,8 @@ from jaxik.harvesting.grasp import approach_grid, fruit_frames
 OUT = Path(__file__).with_suffix(".json")
 ROBOT, SCENE = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
 ANGLES = 24  # a fruit is picked at any of them
-POSES = [fruit_frames(fruit, approach_grid(ANGLES)[::2]) for fruit in SCENE.fruits]
-AROUND = [SCENE.without([fruit.name]).geometry() for fruit in SCENE.fruits]
+POSES = [fruit_frames(fruit, approach_grid(ANGLES)[::2]) for fruit in SCENE.marks]
+AROUND = [SCENE.without([fruit.name]).geometry() for fruit in SCENE.marks]
 BOX = np.array([0.5, 0.5, np.radians(40.0)])  # [m, m, rad] to either side
 GRIDS = (2, 3, 4, 5, 6)
 NAMES = "ascent from where it stands", "ascents from corners"
@@ -50,7 +50,7 @@ def picked(y: Any, z: Any, yaw: Any) -> np.ndarray:
     study |= {"base": {k: np.atleast_1d(v).tolist() for k, v in (("y", y), ("z", z), ("yaw", yaw))}}
     with tempfile.TemporaryDirectory() as folder:
         reachable = jaxik.sweep(study, f"{folder}/s.zarr").dataset().reachable.values
-    fruits = reachable.reshape(-1, len(SCENE.fruits), ANGLES).any(axis=2).sum(axis=1)
+    fruits = reachable.reshape(-1, len(SCENE.marks), ANGLES).any(axis=2).sum(axis=1)
     return fruits.reshape(*(np.size(v) for v in (y, z, yaw)))
 
 
@@ -103,9 +103,9 @@ def main() -> None:
         base = [float(axis[i]) for axis, i in zip(axes, first, strict=True)]
         grids.append({"bases": counts.size, "base": base, "picked": int(counts.max()), "seconds": seconds})
         grids[-1]["all"] = np.column_stack([*(x.ravel() for x in np.meshgrid(*axes, indexing="ij")), counts.ravel()]).tolist()
-    result = {"machine": machine(), "fruits": len(SCENE.fruits), "where_it_stands": here, "ascents": ascents, "grids": grids}
+    result = {"machine": machine(), "fruits": len(SCENE.marks), "where_it_stands": here, "ascents": ascents, "grids": grids}
     OUT.write_text(json.dumps(result, indent=1) + "\n")
-    print(f"of {len(SCENE.fruits)} fruits {here} are picked from where it stands")
+    print(f"of {len(SCENE.marks)} fruits {here} are picked from where it stands")
     for each in ascents:
         print(f"ascent from {np.round(each['start'], 2)}: {each['picked']} in {each['seconds']:.1f} s")
     for each in grids:

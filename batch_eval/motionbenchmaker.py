@@ -142,7 +142,7 @@ def scene_of(message: dict[str, Any]) -> jaxik.Scene:
     for item in world.get("collision_objects") or ():
         shapes = _shapes(item, moved)
         if any(shapes.values()):  # an object may be a name alone
-            builder.add(item["id"], True, **shapes)
+            builder.add(item["id"], **shapes)
     return builder.scene()
 
 

@@ -78,7 +78,7 @@ class HarvestArguments(ShapedRobotArguments):
         with progress_bar() as bar:
 
             def shown(words: str) -> Callable[[str], None]:
-                task = bar.add_task(words, total=len(scene.fruits))
+                task = bar.add_task(words, total=len(scene.marks))
                 return lambda name: bar.update(task, advance=1, description=escape(f"{words} {name}"))
 
             result = jaxik.harvest(robot, scene, progress=shown("harvest"), **options)

@@ -4,15 +4,15 @@ from jaxik.collision.attached import Attached, attach
 from jaxik.collision.clearances import clearance, collides, object_clearances
 from jaxik.collision.contact_report import Contact, Limit, Nearby, explain
 from jaxik.collision.continuous_collision import MotionClearance, motion_clearance
-from jaxik.collision.scene import Fruit, Scene
+from jaxik.collision.scene import Mark, Scene
 from jaxik.collision.scene_builder import SceneBuilder, make_scene
 from jaxik.collision.volumes import robot_spheres
 
 __all__ = [
     "Attached",
     "Contact",
-    "Fruit",
     "Limit",
+    "Mark",
     "MotionClearance",
     "Nearby",
     "Scene",

@@ -1,4 +1,4 @@
-"""Obstacles and fruits in a z-up world [m], and how they are padded to a few sizes.
+"""Obstacles and marks in a z-up world [m], and how they are padded to a few sizes.
 
 A scene is a pytree of arrays, so obstacles may be traced (moved, differentiated) and two scenes padded to the same sizes run
 the same compiled program. Every obstacle belongs to a named object: a leaf of fifteen points is one object.
@@ -115,8 +115,8 @@ def no_triangles() -> Triangles:
     return Triangles(a, b, c, np.zeros(0))
 
 
-class Fruit(Constant):
-    """What is to be picked: the tip goes to `position` [m] and may turn about `axis` (unit, up along the fruit)."""
+class Mark(Constant):
+    """A named place in a scene, where the tip may be sent: `position` [m], and the `axis` (unit) that it may turn about."""
 
     position: Float[Array, "3"]
     axis: Float[Array, "3"]
@@ -126,8 +126,8 @@ class Fruit(Constant):
 class Scene(Constant):
     """Obstacles by kind; `owners` gives, kind by kind in the order of `KINDS`, the object that each obstacle belongs to.
 
-    `removable[i]` says whether object i may be taken away for a fruit's sake (leaves may, stems may not). A fruit that is an
-    obstacle to others is the object of its own name.
+    `removable[i]` says whether object i may be taken away. Each of the `marks` is an object, too, of the same name; its
+    obstacles, if it has any, are what stands there.
     """
 
     __slots__ = ("_known",)  # not in the instance's dictionary, which copies and pickles take over
@@ -137,7 +137,7 @@ class Scene(Constant):
     capsules: Capsules
     boxes: Boxes
     cylinders: Cylinders
-    fruits: tuple[Fruit, ...] = ()
+    marks: tuple[Mark, ...] = ()
     name: str = static(default="scene")
     object_names: tuple[str, ...] = static(default=())
     removable: tuple[bool, ...] = static(default=())
@@ -161,18 +161,18 @@ class Scene(Constant):
         return {kind: int(np.sum(getattr(self, kind).there)) for kind in KINDS}
 
     def __str__(self) -> str:
-        """One line: the objects and fruits that are there, and how many obstacles they have."""
+        """One line: the objects and marks that are there, and how many obstacles they have."""
         present = {owner for _, obstacles, owners in self.by_kind() for owner in owners[obstacles.there]}
         named = [name for i, name in enumerate(self.object_names) if i in present]
         counts = [f"{count} {kind}" for kind, count in self.counts.items() if count]
-        fruits = [f"{len(self.fruits)} fruits"] if self.fruits else []
-        return f"{self.name}: {', '.join([*counts, *fruits]) or 'nothing'}" + (f" ({', '.join(named)})" if named else "")
+        marks = [f"{len(self.marks)} marks"] if self.marks else []
+        return f"{self.name}: {', '.join([*counts, *marks]) or 'nothing'}" + (f" ({', '.join(named)})" if named else "")
 
     def __repr__(self) -> str:
         owned = zip(KINDS, self.owners, strict=True)
         kinds = ", ".join(f"{len(owners)} {kind}" for kind, owners in owned if owners) or "no obstacles"
         names = ", ".join(self.object_names[:8]) + (", ..." if len(self.object_names) > 8 else "")
-        return f"Scene {self.name}: {kinds}; {len(self.object_names)} objects ({names}), {len(self.fruits)} fruits"
+        return f"Scene {self.name}: {kinds}; {len(self.object_names)} objects ({names}), {len(self.marks)} marks"
 
     def without(self, objects: Any) -> Scene:
         """The scene with these objects (indices or names, one or several) moved out of the way.
@@ -209,8 +209,8 @@ class Scene(Constant):
         turn, shift = a_T_world[:3, :3], a_T_world[:3, 3]
         to = lambda place: a_T_world @ place if place.shape[-1] == 4 else place @ turn.T + shift
         kinds = {kind: getattr(self, kind).put(to) for kind in KINDS}
-        fruits = tuple(dataclasses.replace(f, position=to(f.position), axis=turn @ f.axis) for f in self.fruits)
-        return dataclasses.replace(self, fruits=fruits, **kinds)
+        marks = tuple(dataclasses.replace(m, position=to(m.position), axis=turn @ m.axis) for m in self.marks)
+        return dataclasses.replace(self, marks=marks, **kinds)
 
     def geometry(self) -> Scene:
         """The obstacles alone, padded and without names: scenes of like sizes then run the same compiled program."""

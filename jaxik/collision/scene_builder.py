@@ -1,4 +1,4 @@
-"""What a scene is made of: named objects and fruits, given as rows of plain numbers, and what is refused as none."""
+"""Builds scenes from rows of plain numbers: named objects and marks; and refuses what is no obstacle."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.checks.arrays import direction, numbers, rigid_frame, shaped
-from jaxik.checks.options import shown
-from jaxik.collision.scene import KINDS, LIMIT, Boxes, Capsules, Cylinders, Fruit, Points, Scene, Spheres, Triangles, remembered
+from jaxik.checks.options import check_flag, shown
+from jaxik.collision.scene import KINDS, LIMIT, Boxes, Capsules, Cylinders, Mark, Points, Scene, Spheres, Triangles, remembered
 from jaxik.collision.surfaces import as_bodies, polygon_triangles
 
 MOST = 2**17  # obstacles of a kind: more are a scan that wants thinning
 
 
 class SceneBuilder:
-    """Collects named objects and fruits into a `Scene`. All lengths in metres, the world's z up.
+    """Collects named objects and marks into a `Scene`. All lengths in metres, the world's z up.
 
     Floors and walls should be thick, 0.1 m and more: penetration is measured by the shortest way out, which of a thin slab may
     be its other side.
@@ -32,11 +32,11 @@ class SceneBuilder:
         self.name = _word("scene", name)
         self.point_radius = size("point_radius", point_radius)
         self.removable: dict[str, bool] = {}  # of each name, in their order
-        self.fruits: list[Fruit] = []
+        self.marks: list[Mark] = []
         self.rows: dict[str, list[np.ndarray]] = {k: [] for k in KINDS}
         self.owners: dict[str, list[int]] = {k: [] for k in KINDS}
 
-    def add(self, name: str, removable: Any = True, *, solid: Any = True, **obstacles: Any) -> None:
+    def add(self, name: str, *, removable: Any = True, solid: Any = True, **obstacles: Any) -> None:
         """An object of `points` (k, 3), `spheres` (k, 4) centre and radius, `capsules` (k, 7) both ends and radius, `boxes`
         (k, 6) centre and edges along x, y, z, and `cylinders` (k, 5) centre, radius and length along z; one that is turned is a
         pair of a (4, 4) frame and three edges, or a triple of a frame, radius and length.
@@ -44,20 +44,25 @@ class SceneBuilder:
         `triangles` (k, 3, 3) are surfaces (`files.load_mesh`), and so are `polygons`, planar, by their corners (c, 3). Those
         that close around a body are a solid: what is wholly inside collides, unless `solid` is false, as of a room."""
         who = f"object '{shown(name)}': "
-        for what, given in (("removable", removable), ("solid", solid)):
-            if not isinstance(given, bool | np.bool_):  # an array in this place were obstacles that never come
-                raise ValueError(f"{who}{what} is {type(given).__name__}; allowed: True, False; obstacles go by keyword")
+        check_flag(f"object '{shown(name)}'", removable=removable, solid=solid)
         rows = _each(who, obstacles)
         if not any(map(len, rows.values())):
             raise ValueError(f"{who}has no obstacle; give it one of: {', '.join(KINDS)}")
         self._put(name, bool(removable), rows, bool(solid))
 
-    def add_fruit(
-        self, name: str, position: Any, axis: Any = (0.0, 0.0, 1.0), length: Any = 0.0, radius: Any = 0.0, **obstacles: Any
+    def add_mark(
+        self,
+        name: str,
+        position: Any,
+        *,
+        axis: Any = (0.0, 0.0, 1.0),
+        length: Any = 0.0,
+        radius: Any = 0.0,
+        **obstacles: Any,
     ) -> None:
-        """A fruit; with a `radius` its body, hanging `length` below `position`, is an obstacle to all others. A body of another
-        form is given as `obstacles`, by the keywords of `add`."""
-        who = f"fruit '{shown(name)}': "
+        """A mark, and an object of its name, which may not be taken away: with a `radius` a capsule that hangs `length` below
+        `position`, against the axis; and other `obstacles` by the keywords of `add`, or none."""
+        who = f"mark '{shown(name)}': "
         top = in_metres(f"{who}position", shaped(f"{who}position", position, (3,)))
         up, long, thick = direction(f"{who}axis", axis), size(f"{who}length", length), size(f"{who}radius", radius)
         rows = _each(who, obstacles)
@@ -66,7 +71,7 @@ class SceneBuilder:
         if thick > 0.0:
             rows["capsules"] = np.concatenate([hanging(top, up, long, thick)[None], rows.get("capsules", np.zeros((0, 7)))])
         self._put(name, False, rows)
-        self.fruits.append(Fruit(top, up, name))
+        self.marks.append(Mark(top, up, name))
 
     def _put(self, name: str, removable: bool, rows: dict[str, np.ndarray], solid: bool = True) -> None:
         if _word("object", name) in self.removable:
@@ -90,7 +95,7 @@ class SceneBuilder:
             Capsules(capsules[:, :3], capsules[:, 3:6], capsules[:, 6]),
             Boxes(boxes[:, :16].reshape(-1, 4, 4), boxes[:, 16:] / 2.0),
             Cylinders(cylinders[:, :16].reshape(-1, 4, 4), cylinders[:, 16], cylinders[:, 17] / 2.0),
-            tuple(self.fruits),
+            tuple(self.marks),
             name=self.name,
             object_names=tuple(self.removable),
             removable=tuple(self.removable.values()),
@@ -118,7 +123,7 @@ def make_scene(*, point_radius: Any = 0.0, name: str = "scene", **obstacles: Any
 
 
 def hanging(top: Any, up: Any, length: float, radius: float) -> np.ndarray:
-    """The capsule (7,) of a fruit that hangs `length` [m] below `top`."""
+    """The capsule (7,) of a body that hangs `length` [m] below `top`."""
     return np.array([*top, *(top - length * up), radius])
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.checks.options import check_kind, shown
-from jaxik.collision.scene import FAR, SHAPES, Fruit, Scene
+from jaxik.collision.scene import FAR, SHAPES, Mark, Scene
 from jaxik.collision.scene_builder import SceneBuilder, hanging
 from jaxik.collision.surfaces import as_bodies
 from jaxik.files.mesh import load_mesh, resolve
@@ -23,7 +23,9 @@ from jaxik.files.writing import toml, write_text
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import frame
 
-FIXED = ("stem", "wire", "fruit", "pipe", "post", "gutter")  # labelled points that start so may not be removed
+# labelled points are a crop's: those of a label that starts so are a mark, or may not be removed
+MARK = "fruit"
+FIXED = ("stem", "wire", "pipe", "post", "gutter")
 ROWS = {  # of obstacles, how wide they are and what is in them; a frame is its centre here, and `rotations`
     "points": (3, "x, y, z"),
     "spheres": (4, "x, y, z, radius"),
@@ -35,7 +37,7 @@ ROWS = {  # of obstacles, how wide they are and what is in them; a frame is its 
 
 
 def load_scene(path: Path) -> Scene:
-    """A scene of objects, fruits, or both; `docs/how-to/own-scene.md` has the schema. Raises `LoadError`, one line."""
+    """A scene of objects, marks, or both; `docs/how-to/own-scene.md` has the schema. Raises `LoadError`, one line."""
     readers, kind = {".toml": _from_toml, ".csv": _from_csv, ".ply": _from_ply}, path.suffix.lower()
     if kind not in readers:
         raise LoadError(path, "file", f"ending '{kind}'", f"allowed: {', '.join(readers)}")
@@ -46,7 +48,7 @@ def load_scene(path: Path) -> Scene:
     except ValueError as error:  # what `SceneBuilder` refuses is the file's fault
         raise LoadError(path, "scene", str(error)) from None
     if not scene.object_names:
-        raise LoadError(path, "scene", "holds neither an object nor a fruit", "add an [[object]], or labelled points")
+        raise LoadError(path, "scene", "holds neither an object nor a mark", "add an [[object]], or labelled points")
     return scene
 
 
@@ -57,8 +59,8 @@ def _from_toml(path: Path) -> Scene:
     builder = SceneBuilder(name, point_radius=table.number("point_radius", "length", 0.0))
     for each in table.tables("object"):
         _object(each, builder)
-    for each in table.tables("fruit"):
-        _fruit(each, builder)
+    for each in table.tables("mark"):
+        _mark(each, builder)
     table.close()
     return builder.scene()
 
@@ -66,21 +68,21 @@ def _from_toml(path: Path) -> Scene:
 def _object(table: Table, builder: SceneBuilder) -> None:
     name, removable, solid, rows = table.named(), table.flag("removable", True), table.flag("solid", True), _rows(table)
     table.close()
-    builder.add(name, removable, solid=solid, **rows)
+    builder.add(name, removable=removable, solid=solid, **rows)
 
 
-def _fruit(table: Table, builder: SceneBuilder) -> None:
+def _mark(table: Table, builder: SceneBuilder) -> None:
     name = table.named()
     position, axis = table.array("position", "length", (3,)), table.array("axis", "plain", (3,), (0.0, 0.0, 1.0))
     if not 0.5 < float(np.linalg.norm(axis)) < 2.0:
         raise table.fail("'axis' is no direction", "write a unit vector such as [0, 0, 1]")
     length, radius, rows = table.number("length", "length", 0.0), table.number("radius", "length", 0.0), _rows(table)
     table.close()
-    builder.add_fruit(name, position, axis, length, radius, **rows)
+    builder.add_mark(name, position, axis=axis, length=length, radius=radius, **rows)
 
 
 def _rows(table: Table) -> dict[str, Any]:
-    """The obstacles of an object or of a fruit, by kind."""
+    """The obstacles of an object or a mark, by kind."""
     rows: dict[str, Any] = {k: table.array(k, "length", (-1, w), np.zeros((0, w)), words) for k, (w, words) in ROWS.items()}
     turn, framed = table.turn() + 0.0, len(rows["boxes"]) + len(rows["cylinders"])  # + 0.0: no -0
     turns = table.array("rotations", "plain", (-1, 3, 3), np.tile(turn, (framed, 1, 1)))
@@ -157,21 +159,21 @@ def _from_ply(path: Path) -> Scene:
 
 
 def _from_points(path: Path, labels: list[str], points: np.ndarray) -> Scene:
-    """Points of one label are one object; a label that starts with `fruit` is a fruit at its points' centre."""
+    """Points of one label are one object; a label that starts with `MARK` is a mark at its points' centre."""
     kinds = np.array(labels)
     with np.errstate(invalid="ignore"):
         builder = SceneBuilder(path.stem)
         for label in dict.fromkeys(labels):
             cloud = points[kinds == label]
-            if label.lower().startswith("fruit"):
-                builder.add_fruit(label, cloud.mean(axis=0))
+            if label.lower().startswith(MARK):
+                builder.add_mark(label, cloud.mean(axis=0))
             else:
-                builder.add(label, not label.lower().startswith(FIXED), points=cloud)
+                builder.add(label, removable=not label.lower().startswith(FIXED), points=cloud)
     return builder.scene()
 
 
 def save_scene(scene: Scene, path: str | Path, *, description: str = "-") -> None:
-    """Writes a scene as `.toml`, which `load_scene` gives back to the last bit, objects first and fruits after them, without
+    """Writes a scene as `.toml`, which `load_scene` gives back to the last bit, objects first and marks after them, without
     what was taken away (`Scene.without`). Host.
 
     Raises `ValueError` for another ending, for a file that cannot be written, and for obstacles that belong to no object
@@ -184,15 +186,15 @@ def save_scene(scene: Scene, path: str | Path, *, description: str = "-") -> Non
 
 
 def _written(scene: Scene, description: str) -> str:
-    obstacles, fruits = _tables(scene), {f.name: f for f in scene.fruits}
+    obstacles, marks = _tables(scene), {mark.name: mark for mark in scene.marks}
     if any(len(table) > len(own) for table, own in zip(obstacles.values(), scene.owners, strict=True)):
         raise ValueError(f"save_scene: obstacles of '{scene.name}' belong to no object; save what a SceneBuilder made")
     tables: list[tuple[str, dict[str, Any]]] = []
     for i, name in enumerate(scene.object_names):
         rows = {kind: table[np.array(own) == i] for (kind, table), own in zip(obstacles.items(), scene.owners, strict=True)}
         rows = {kind: r[np.abs(r).max(axis=1) < FAR / 2.0] for kind, r in rows.items() if len(r)}  # the rest was taken away
-        if name in fruits:
-            tables.append(("fruit", {"name": name, **_fruit_keys(fruits[name], rows), **_row_keys(rows)}))
+        if name in marks:
+            tables.append(("mark", {"name": name, **_mark_keys(marks[name], rows), **_row_keys(rows)}))
         elif any(len(r) for r in rows.values()):
             tables.append(("object", {"name": name, "removable": bool(scene.removable[i]), **_row_keys(rows)}))
     head = {"name": scene.name, "description": description, "point_radius": scene.points.radius}
@@ -206,13 +208,13 @@ def _tables(scene: Scene) -> dict[str, np.ndarray]:
     return {kind: np.column_stack([rows(kind, *part) for part in parts.items() if part[1]]) for kind, parts in SHAPES.items()}
 
 
-def _fruit_keys(fruit: Fruit, rows: dict[str, np.ndarray]) -> dict[str, Any]:
-    """A fruit's own keys; `rows` loses the body where length and radius say it."""
-    keys = {"position": fruit.position, "axis": fruit.axis}
+def _mark_keys(mark: Mark, rows: dict[str, np.ndarray]) -> dict[str, Any]:
+    """A mark's own keys; `rows` loses the body where length and radius say it."""
+    keys = {"position": mark.position, "axis": mark.axis}
     for body in rows.get("capsules", ())[:1]:
         long = float(np.linalg.norm(body[:3] - body[3:6]))
         for length in (round(long, 12), long):  # as it was written, most likely
-            if body[6] > 0.0 and np.array_equal(hanging(fruit.position, fruit.axis, length, body[6]), body):
+            if body[6] > 0.0 and np.array_equal(hanging(mark.position, mark.axis, length, body[6]), body):
                 rows["capsules"] = rows["capsules"][1:]
                 return keys | {"length": length, "radius": body[6]}
     return keys

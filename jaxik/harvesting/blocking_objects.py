@@ -97,7 +97,7 @@ def touched_sets(robot: Robot, scene: Scene, found: Scan, margin: float) -> Touc
     around = grouped(without_fruit(scene, found.fruit), robot, by_object=True)
     distance, own = in_blocks(_contacts(robot, count), found.table.q, fixed=(around,))
     hit = distance < margin
-    fruits = [fruit.name for fruit in scene.fruits]
+    fruits = [fruit.name for fruit in scene.marks]
     goes = np.array([one or name in fruits for name, one in zip(scene.object_names, scene.removable, strict=True)], bool)
     possible = np.flatnonzero((own >= margin) & ~np.any(hit & ~goes, axis=1) & hit.any(axis=1))
     stays = np.minimum(np.where(hit, np.inf, distance).min(axis=1, initial=np.inf), own)
@@ -117,7 +117,7 @@ def blockers(robot: Robot, scene: Scene, found: Scan, margin: float = 0.005, pic
     """
     check_kind("blockers", "found", found, Scan)
     check_finite("blockers", margin=margin)
-    names = [fruit.name for fruit in scene.fruits]
+    names = [fruit.name for fruit in scene.marks]
     pickable = [pickable] if isinstance(pickable, str) else pickable
     for name in pickable:
         if name not in names:

@@ -43,7 +43,7 @@ def cucumber_row(seed: int = 0, plants: int = 5, leaves: int = 4, fruits: int = 
         x, y = stems[i % plants]
         around, out = rng.uniform(-np.pi, 0.0), rng.uniform(0.05, 0.12)
         top = np.array([x + out * np.cos(around), y + out * np.sin(around), rng.uniform(0.35, 0.8)])
-        builder.add_fruit(f"fruit_{i + 1}", np.round(top, 3), length=0.3, radius=0.02)
+        builder.add_mark(f"fruit_{i + 1}", np.round(top, 3), length=0.3, radius=0.02)
     return builder.scene()
 
 
@@ -74,7 +74,7 @@ def trellis_crop(kind: str = "bitter_gourd", seed: int = 0, leaves: int = 40) ->
     def add(name: str, points: np.ndarray, removable: bool) -> None:
         low, high = points.min(axis=0), points.max(axis=0)
         if np.min(np.linalg.norm(np.maximum(np.maximum(low - targets, targets - high), 0.0), axis=1)) >= 0.06:
-            builder.add(name, removable, boxes=[[*np.round((low + high) / 2.0, 4), *np.round(high - low, 4)]])
+            builder.add(name, removable=removable, boxes=[[*np.round((low + high) / 2.0, 4), *np.round(high - low, 4)]])
 
     if kind == "guava":
         add("trunk", np.array([[0.82, -0.06, 0.0], [0.94, 0.06, 1.0]]), False)
@@ -95,5 +95,5 @@ def trellis_crop(kind: str = "bitter_gourd", seed: int = 0, leaves: int = 40) ->
     size = {"bitter_gourd": (0.2, 0.025), "tindora": (0.05, 0.012), "guava": (0.0, 0.035)}[kind]
     others = rng.uniform([0.4, -0.6, 0.5], [0.75, 0.6, 1.2], (12 - len(targets), 3))
     for i, place in enumerate(np.concatenate([targets, np.round(others, 3)])):
-        builder.add_fruit(f"fruit_{i + 1}", place, length=size[0], radius=size[1])
+        builder.add_mark(f"fruit_{i + 1}", place, length=size[0], radius=size[1])
     return builder.scene()

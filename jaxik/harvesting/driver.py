@@ -132,12 +132,12 @@ def harvest(
     """
     options = changed("harvest", options or HarvestOptions(), {k: v for k, v in changes.items() if v is not None})
     check_kind("harvest", "scene", scene, Scene)
-    if not scene.fruits:
-        raise ValueError(f"scene '{scene.name}' has no fruit; add one with SceneBuilder.add_fruit")
+    if not scene.marks:
+        raise ValueError(f"scene '{scene.name}' has no fruit; add one with SceneBuilder.add_mark")
     check_geometry(robot)
     warn_of_scene("harvest", robot, scene, options.margin)
     start, rows, touched = time.perf_counter(), [], {}
-    for fruit in scene.fruits:
+    for fruit in scene.marks:
         found = scan(robot, scene, fruit, **vars(options))
         rows.append(_posture(robot, scene, found, options))
         if rows[-1].reason == Reason.COLLISION:

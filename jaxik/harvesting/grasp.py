@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxik.checks.arrays import shaped
 from jaxik.checks.options import as_count_or_values, shown
-from jaxik.collision.scene import Fruit
+from jaxik.collision.scene import Mark
 from jaxik.kinematics.robot import Robot
 from jaxik.spatial.rotations import frame
 
@@ -33,12 +33,12 @@ class Grasp:
             raise ValueError(f"grasp: {given}; write e.g. up = (-1, 0, 0), approach = (0, 0, 1)")
 
 
-def grasp_poses(robot: Robot, fruit: Fruit, angles: np.ndarray, grasp: Grasp | None = None) -> np.ndarray:
+def grasp_poses(robot: Robot, fruit: Mark, angles: np.ndarray, grasp: Grasp | None = None) -> np.ndarray:
     """`fruit_frames` in the robot's base."""
     return np.linalg.inv(robot.world_T_base) @ fruit_frames(fruit, angles, grasp)
 
 
-def fruit_frames(fruit: Fruit, angles: np.ndarray, grasp: Grasp | None = None) -> np.ndarray:
+def fruit_frames(fruit: Mark, angles: np.ndarray, grasp: Grasp | None = None) -> np.ndarray:
     """The tip frames in the world (a, 4, 4) that hold `fruit` at the given angles [rad] about its axis.
 
     At angle 0 the approach is along the world's y (its x where the axis is y), turned right-handed about the axis from there.

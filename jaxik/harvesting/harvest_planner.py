@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import changed, check_kind, check_seed, no_such
-from jaxik.collision.scene import Fruit, Scene
+from jaxik.collision.scene import Mark, Scene
 from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.harvesting.driver import Harvest, Posture
 from jaxik.harvesting.harvest_plan import Cycle, HarvestPlan, HarvestPlanOptions, Stage
@@ -99,7 +99,7 @@ class _Planner:
         self.limits = motion_limits("plan_harvest", self.robot, self.motion)
         clear = max(options.margin, asked.margin)
         self.way = Way(asked.grasp, options.approach, options.candidates, options.margin, clear, self.limits)
-        self.rank = _ranks(scene.fruits, options.order)  # from which the shortest order is looked for, too
+        self.rank = _ranks(scene.marks, options.order)  # from which the shortest order is looked for, too
         self.home = self.free("home", default_pose(self.robot) if options.home is None else options.home)[0]
         self.places = np.empty((0, len(self.home))) if options.place is None else self.free("place", options.place)
         self.cycles: dict[str, Cycle] = {}
@@ -340,7 +340,7 @@ def _length(costs: np.ndarray, nodes: Sequence[int]) -> float:
     return float(costs[[0, *nodes], [*nodes, 0]].sum())
 
 
-def _ranks(fruits: Sequence[Fruit], order: Any) -> dict[str, int]:
+def _ranks(fruits: Sequence[Mark], order: Any) -> dict[str, int]:
     """The place of each fruit in the order that is asked for, along the row unless it is by names."""
     names = [fruit.name for fruit in fruits]
     if isinstance(order, str):

@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxik.analytic.solutions import closed_forms, given_values
 from jaxik.collision.attached import attach
-from jaxik.collision.scene import Fruit, Scene
+from jaxik.collision.scene import Mark, Scene
 from jaxik.harvesting.grasp import Grasp, grasp_poses
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker, touched
@@ -81,7 +81,7 @@ def ends(moved: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     return c[..., 0, 3, :], ((a * x + b) * x + slope) * x + begin
 
 
-def find_picks(robot: Robot, scene: Scene, fruit: Fruit, angles: np.ndarray, q: np.ndarray, way: Way) -> Picks:
+def find_picks(robot: Robot, scene: Scene, fruit: Mark, angles: np.ndarray, q: np.ndarray, way: Way) -> Picks:
     """The ways to pick a fruit from postures `q` (b, n), best first, at `angles` (b,) about its axis, among what is in the
     scene; `way.candidates` of them that differ much. Host driver."""
     others = scene.without([fruit.name]) if fruit.name in scene.object_names else scene
@@ -162,7 +162,7 @@ def spread(q: np.ndarray, limits: Limits, most: int) -> np.ndarray:
     return np.array(chosen)
 
 
-def carrying(robot: Robot, scene: Scene, fruit: Fruit, q: np.ndarray, grasp: Grasp) -> Iterator[tuple[Robot, np.ndarray]]:
+def carrying(robot: Robot, scene: Scene, fruit: Mark, q: np.ndarray, grasp: Grasp) -> Iterator[tuple[Robot, np.ndarray]]:
     """The arm that holds the fruit as it is grasped at each of `q` (b, n), and the rows that this is true of: all of a body
     that is round about the fruit's axis. Its numbers are JAX arrays, so that no kernel is made for a fruit alone."""
     rows = np.arange(len(q))
@@ -180,7 +180,7 @@ def carrying(robot: Robot, scene: Scene, fruit: Fruit, q: np.ndarray, grasp: Gra
             yield _as_operands(_held(robot, scene, fruit, q[row]), len(robot.volumes)), rows[row : row + 1]
 
 
-def _held(robot: Robot, scene: Scene, fruit: Fruit, q: np.ndarray) -> Robot:
+def _held(robot: Robot, scene: Scene, fruit: Mark, q: np.ndarray) -> Robot:
     held = attach(robot, scene, fruit.name, q).robot
     return dataclasses.replace(held, link_names=(*robot.link_names, HELD))  # one name, one kernel
 

@@ -23,7 +23,7 @@ from jaxik.analytic.solutions import BRANCHES, closed_branches, valid_branches
 from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import check_geometry, clearance, object_clearances
-from jaxik.collision.scene import Fruit, Scene, remembered
+from jaxik.collision.scene import Mark, Scene, remembered
 from jaxik.costs import joint_limit_margin
 from jaxik.harvesting.grasp import Grasp, approach_grid, grasp_poses
 from jaxik.kinematics.robot import Robot
@@ -82,7 +82,7 @@ class Scan(NamedTuple):
     `near_limits` are the valid candidates that miss the limits by least, as (angle, leading, branch) indices.
     """
 
-    fruit: Fruit
+    fruit: Mark
     angles: np.ndarray
     leading: np.ndarray
     status: np.ndarray
@@ -113,7 +113,7 @@ def measures(robot: Robot) -> HostKernel:
 def scan(
     robot: Robot,
     scene: Scene,
-    fruit: Fruit,
+    fruit: Mark,
     angles: Any = 72,
     slides: Any = 41,
     weights: Weights | None = None,
@@ -128,7 +128,7 @@ def scan(
     Raises `ValueError` where the robot has no closed form, or nothing to collide with, for what is neither a count nor values,
     and for a fruit, weights, grasp or margin that is none.
     """
-    check_kind("scan", "fruit", fruit, Fruit)
+    check_kind("scan", "fruit", fruit, Mark)
     check_kind("scan", "weights", weights, Weights, optional=True)
     check_kind("scan", "grasp", grasp, Grasp, optional=True)
     check_finite("scan", margin=margin)
@@ -170,13 +170,13 @@ def _candidates(robot: Robot, poses: np.ndarray, lead: np.ndarray) -> tuple[np.n
 MISSES = 16  # candidates that recovery starts from
 
 
-def without_fruit(scene: Scene, fruit: Fruit) -> Scene:
+def without_fruit(scene: Scene, fruit: Mark) -> Scene:
     """The scene without the fruit that is being picked."""
     own = [name for name in scene.object_names if name == fruit.name]
     return remembered(scene, ("without", fruit.name), lambda: scene.without(own))
 
 
-def measured(robot: Robot, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def measured(robot: Robot, scene: Scene, fruit: Mark, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Clearance [m] and freedom of postures (N, n) that pick the fruit, which is no obstacle."""
     if not len(q):
         return np.zeros(0), np.zeros(0)
@@ -189,7 +189,7 @@ def measured(robot: Robot, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[n
 
 
 def approach_angles(
-    robot: Robot, scene: Scene, fruit: Fruit, angles: Any = 72, grasp: Grasp | None = None
+    robot: Robot, scene: Scene, fruit: Mark, angles: Any = 72, grasp: Grasp | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """The approach angles [rad] from best to worst, and the clearance [m] of the last three links, straight, at each. Host
     driver.
@@ -211,7 +211,7 @@ def approach_angles(
 
 
 def scan_two_step(
-    robot: Robot, scene: Scene, fruit: Fruit, angles: Any = 72, slides: Any = 41, **options: Any
+    robot: Robot, scene: Scene, fruit: Mark, angles: Any = 72, slides: Any = 41, **options: Any
 ) -> tuple[Scan, int]:
     """The paper's two steps, with the recovery that it lacks: where the best angle has no posture the next one is taken. Host
     driver.

@@ -167,7 +167,7 @@ def from_crops(kind: str, count: int, angles: int, seed: int, grasp: Grasp) -> T
     """All fruits of `count` crops of one kind, each approached from `angles` directions around its axis."""
     make = cucumber_row if kind == "cucumber_row" else lambda seed: trellis_crop(kind, seed)
     crops, around = [make(seed + number) for number in range(count)], approach_grid(angles)
-    picked = [(scene, fruit) for scene in crops for fruit in scene.fruits]
+    picked = [(scene, fruit) for scene in crops for fruit in scene.marks]
     poses = np.concatenate([fruit_frames(fruit, around, grasp) for _, fruit in picked])
     scenes = tuple(scene.without([fruit.name]) for scene, fruit in picked)  # the fruit that is picked is no obstacle
     crop = np.repeat(np.arange(len(scenes)), angles)

@@ -88,7 +88,7 @@ def _crop(result: Harvest) -> _Crop:
     reasons = {row.fruit: row.reason for row in result.rows}
     arms = {row.fruit: _arm(result.robot, q) for row in result.rows if (q := posture(row)) is not None}
     near = [s.span for s in solids if s.owner in reasons] + [s.span for _, arm in arms.values() for s in arm]
-    places = [f.position for f in result.scene.fruits] + [np.asarray(result.robot.world_T_base)[:3, 3]]
+    places = [f.position for f in result.scene.marks] + [np.asarray(result.robot.world_T_base)[:3, 3]]
     held = np.concatenate([points, np.array(places), *near])
     box = np.array([held.min(axis=0) - 0.05, held.max(axis=0) + 0.05])  # stems and wires go on beyond
     return _Crop(solids, points[some], owners[some], reasons, arms, box)
@@ -118,7 +118,7 @@ def _draw(axis: Any, result: Harvest, crop: _Crop, row: Posture, i: int) -> None
     hit = np.isin(crop.owners, blocking)
     for mask, colour, dot in ((~hit, LEAF, 3), (hit, COLOURS[Reason.COLLISION], 9)):
         axis.scatter(*crop.points[mask][:, [i, 2]].T, s=dot, c=colour, lw=0, zorder=3)
-    place = next(f for f in result.scene.fruits if f.name == row.fruit).position
+    place = next(f for f in result.scene.marks if f.name == row.fruit).position
     axis.plot(place[i], place[2], "D", ms=6, color=COLOURS[row.reason], mec=INK, zorder=5)
     axis.set(xlim=crop.box[:, i], ylim=crop.box[:, 2], aspect="equal")
     axis.locator_params(nbins=4)

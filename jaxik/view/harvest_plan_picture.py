@@ -22,9 +22,9 @@ def plot_harvest_plan(plan: HarvestPlan, path: Path) -> None:
     from matplotlib.figure import Figure
 
     paths = _paths(plan)
-    fruits = np.array([fruit.position for fruit in plan.scene.fruits])
+    fruits = np.array([fruit.position for fruit in plan.scene.marks])
     points, solids = scene_points(plan.scene)[0], scene_solids(plan.scene)
-    hanging = [s.span for s in solids if s.owner in {f.name for f in plan.scene.fruits}]
+    hanging = [s.span for s in solids if s.owner in {f.name for f in plan.scene.marks}]
     held = np.concatenate([fruits, *(way for way, _ in paths), *hanging])
     low, high = held.min(axis=0) - 0.08, held.max(axis=0) + 0.08
     width = 12.0
@@ -63,7 +63,7 @@ def _draw(axis: Any, plan: HarvestPlan, paths: list[tuple[np.ndarray, bool]], po
     for stage, (way, _) in zip(plan.stages, paths, strict=True):
         if stage.kind in PLACES:
             axis.plot(*way[-1, [0, k]], PLACES[stage.kind], ms=9, color=INK, zorder=5)
-    for fruit in plan.scene.fruits:
+    for fruit in plan.scene.marks:
         x, y = fruit.position[[0, k]]
         words = str(number.get(fruit.name, "✗"))
         colour = COLOURS[rows[fruit.name].reason]

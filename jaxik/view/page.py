@@ -227,7 +227,7 @@ class Page:
 
     def _look(self) -> None:
         """The camera: far enough to see the robot, and the crop beside it."""
-        fruits = np.array([f.position for f in self.around.fruits]).reshape(-1, 3)
+        fruits = np.array([f.position for f in self.around.marks]).reshape(-1, 3)
         held = np.concatenate([bones(self.robot, self._q), scene_points(self.around)[0], fruits])
         low, high = held.min(axis=0), held.max(axis=0)
         centre, away = (low + high) / 2.0, max(0.85 * float(np.linalg.norm(high - low)), 1.3)
@@ -235,7 +235,7 @@ class Page:
         camera.look_at, camera.position = tuple(centre), tuple(centre + away * np.array([0.55, -0.8, 0.5]))
 
     def _legend(self, teleop: bool) -> dict[str, str]:
-        points, fruits = len(self.around.points.center), len(self.around.fruits)
+        points, fruits = len(self.around.points.center), len(self.around.marks)
         there = {"robot": (ROBOT, True), "what collides": (BAD, True), "obstacles": (OBSTACLE, self.scene is not None)}
         there |= {
             "volumes kept clear": (VOLUME, self.drawing.volumes.value),

@@ -27,7 +27,7 @@ class SceneDrawing:
         shown.on_update(lambda _: setattr(root, "visible", shown.value))
         if empty:
             gui.add_markdown(NO_SCENE)
-        self.fruits = {fruit.name for fruit in around.fruits}
+        self.fruits = {fruit.name for fruit in around.marks}
         self.points, self.solids = scene_points(around), scene_solids(around)
         self.radius = max(float(around.points.radius), 0.004)
         self._draw()

@@ -25,12 +25,12 @@ point_radius = 0.01
 [[object]]
 name = "leaf_1"
 points = [[0.55, 0.62, 0.4], [0.55, 0.62, 0.5]]
-[[fruit]]
+[[mark]]
 name = "near"
 position = [0.5, 0.66, 0.6]
 length = 0.3
 radius = 0.02
-[[fruit]]
+[[mark]]
 name = "far"
 position = [0.5, 9.0, 0.6]
 """
@@ -278,7 +278,7 @@ def test_drivers_say_what_is_missing_before_they_compile(monkeypatch):
         study = {"robot": robot, "collision": {"scene": scene}, "targets": {"kind": "crop"}}
         for driver in (
             lambda robot: jaxik.solve_ik(robot, np.eye(4), scene),
-            lambda robot: jaxik.harvesting.scan(robot, scene, scene.fruits[0]),
+            lambda robot: jaxik.harvesting.scan(robot, scene, scene.marks[0]),
             lambda robot: jaxik.harvest(robot, scene),
             lambda robot: jaxik.reach.likely_postures(robot, scene, np.eye(4)[None]),
             lambda robot, study=study: jaxik.sweeps.Study.of(study | {"targets": GRID}),

@@ -33,7 +33,7 @@ def scene():
     builder.add("can", cylinders=[(pose(rng, near), 0.05, 0.3)])
     builder.add("plate", cylinders=[(pose(rng, near), 0.2, 0.02)])
     builder.add("crate", boxes=[(pose(rng, near), (0.2, 0.1, 0.3))])
-    builder.add_fruit("place", near)
+    builder.add_mark("place", near)
     return builder.scene()
 
 

@@ -119,22 +119,22 @@ def test_what_is_no_obstacle_is_refused(given, words):
         ({"spheres": [[0, 0, 0, 0]]}, ("spheres", "row 1", "radius 0 m")),
     ],
 )
-def test_a_fruit_is_a_fruit(given, words):
+def test_a_mark_is_a_mark(given, words):
     builder = jaxik.collision.SceneBuilder()
     builder.add("leaf", points=[[0, 0, 0]])
     with pytest.raises(ValueError) as error:
-        builder.add_fruit(**({"name": "fruit", "position": (0, 0, 0)} | given))
+        builder.add_mark(**({"name": "mark", "position": (0, 0, 0)} | given))
     one_line(error, *words)
     scene = builder.scene()  # and nothing of it stays
-    assert scene.object_names == ("leaf",) and not scene.fruits and scene.counts == jaxik.make_scene(points=[[0, 0, 0]]).counts
+    assert scene.object_names == ("leaf",) and not scene.marks and scene.counts == jaxik.make_scene(points=[[0, 0, 0]]).counts
 
 
 def test_a_refused_object_leaves_nothing_behind():
     builder = jaxik.collision.SceneBuilder()
     with pytest.raises(ValueError, match="'leaf': spheres"):
         builder.add("leaf", points=[[0, 0, 0]], spheres=[[0, 0, 0]])
-    with pytest.raises(ValueError, match=r"'leaf': removable is list; .* by keyword"):
-        builder.add("leaf", [[0, 0, 0]])
+    with pytest.raises(ValueError, match=r"'leaf': removable is \[\[0, 0, 0\]\]; allowed: True, False"):
+        builder.add("leaf", removable=[[0, 0, 0]])
     for nothing in ({}, {"points": []}, {"points": np.zeros((0, 3)), "boxes": []}):
         with pytest.raises(ValueError, match=r"'leaf': has no obstacle; .* points, spheres"):
             builder.add("leaf", **nothing)
@@ -360,17 +360,19 @@ def crowded(seed=0):
     boxes = [(pose(), rng.uniform(size=3)), (pose(np.eye(3)), rng.uniform(size=3)), (pose(straight), rng.uniform(size=3))]
     cylinders = [(pose(), *rng.uniform(size=2)) for _ in range(2)]
     builder.add("leaf", points=rng.normal(size=(3, 3)), spheres=spheres, boxes=boxes, cylinders=cylinders)
-    builder.add('post "1"\\', False, capsules=np.abs(rng.normal(size=(2, 7))), boxes=boxes[1:2], points=[[1e-7, -0.0, 1e2]])
+    builder.add(
+        'post "1"\\', removable=False, capsules=np.abs(rng.normal(size=(2, 7))), boxes=boxes[1:2], points=[[1e-7, -0.0, 1e2]]
+    )
     builder.add("plate", cylinders=[(pose(np.eye(3)), 0.5, 0.0)])
     corners = rng.normal(size=(4, 3))
     body = np.stack([np.delete(corners, i, axis=0) for i in range(4)])
     builder.add("stone", triangles=body)
     builder.add("room", triangles=[*(body + 1.0), *rng.normal(size=(3, 3, 3))], solid=False)
-    builder.add_fruit("oval", rng.normal(size=3), triangles=body - 1.0)
-    builder.add_fruit("hanging", rng.normal(size=3), (0.0, 0.0, 1.0), 0.3, 0.02)
-    builder.add_fruit("oblique", rng.normal(size=3), rng.normal(size=3), 0.3, 0.02)
-    builder.add_fruit("a place", rng.normal(size=3), rng.normal(size=3))
-    builder.add_fruit("apple", rng.normal(size=3), rng.normal(size=3), 0.0, 0.04)
+    builder.add_mark("oval", rng.normal(size=3), triangles=body - 1.0)
+    builder.add_mark("hanging", rng.normal(size=3), axis=(0.0, 0.0, 1.0), length=0.3, radius=0.02)
+    builder.add_mark("oblique", rng.normal(size=3), axis=rng.normal(size=3), length=0.3, radius=0.02)
+    builder.add_mark("a place", rng.normal(size=3), axis=rng.normal(size=3))
+    builder.add_mark("apple", rng.normal(size=3), axis=rng.normal(size=3), length=0.0, radius=0.04)
     return builder.scene()
 
 
@@ -396,7 +398,7 @@ def test_what_was_taken_away_is_not_written(tmp_path):
     path, scene = tmp_path / "scene.toml", crowded()
     save_scene(scene.without(["leaf", "hanging"]).padded(), path)
     back = jaxik.load_scene(path)
-    assert back.object_names == tuple(n for n in scene.object_names if n != "leaf") and len(back.fruits) == 5
+    assert back.object_names == tuple(n for n in scene.object_names if n != "leaf") and len(back.marks) == 5
     assert back.counts == {"points": 1, "spheres": 0, "capsules": 4, "boxes": 1, "cylinders": 1, "triangles": 15}
     with pytest.raises(ValueError, match="belong to no object"):
         save_scene(scene.geometry(), path)
@@ -535,11 +537,11 @@ def test_a_mesh_that_is_refused(tmp_path, given, words):
     one_line(error, *words)
 
 
-def test_a_scene_without_a_fruit_is_a_scene(tmp_path):
+def test_a_scene_without_a_mark_is_a_scene(tmp_path):
     path = tmp_path / "cell.toml"
     path.write_text('name = "cell"\n[[object]]\nname = "table"\nboxes = [[0.5, 0, -0.1, 1, 1, 0.1]]\n')
     cell = jaxik.load_scene(path)
-    assert cell.counts["boxes"] == 1 and not cell.fruits
+    assert cell.counts["boxes"] == 1 and not cell.marks
     (tmp_path / "cell.csv").write_text("label,x,y,z\npost,0.5,0,0\n")
     assert jaxik.load_scene(tmp_path / "cell.csv").object_names == ("post",)
     with pytest.raises(ValueError, match="no fruit") as error:

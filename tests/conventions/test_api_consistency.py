@@ -33,7 +33,7 @@ def test_a_motion_says_its_reason():
 def test_options_go_by_name():
     robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
     options = jaxik.harvesting.HarvestOptions(angles=4, slides=2)
-    scene = dataclasses.replace(scene, fruits=scene.fruits[:1])
+    scene = dataclasses.replace(scene, marks=scene.marks[:1])
     found = jaxik.harvest(robot, scene, options)
     assert found.counts() == jaxik.harvest(robot, scene, angles=4, slides=2).counts()
     for call in (

@@ -259,7 +259,7 @@ def test_other_arrays_and_counts(value):
 
 
 def test_what_is_of_another_kind():
-    fruit = jaxik.load_scene("cucumber_row").fruits[0]
+    fruit = jaxik.load_scene("cucumber_row").marks[0]
     for kind in ("weights", "grasp"):
         refused(f"{kind} is False; write a jaxik", jaxik.harvesting.scan, P6R, SCENE, fruit, 2, 2, **{kind: False})
     refused("margin is nan", jaxik.harvesting.scan, P6R, SCENE, fruit, 2, 2, margin=np.nan)

@@ -51,7 +51,7 @@ SCENE = """name = "s"
 [[object]]
 name = "leaf"
 points = [[0.1, 0.7, 0.5]]
-[[fruit]]
+[[mark]]
 name = "fruit_1"
 position = [0.1, 0.7, 0.4]
 """
@@ -405,7 +405,7 @@ def test_a_third_slash_is_no_fault(tmp_path):
 def test_a_robot_and_a_scene_are_printed_in_a_few_lines():
     robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
     assert len(repr(robot)) < 600 and "slide: prismatic 0 to 1 m" in repr(robot) and "8 links" in repr(robot)
-    assert len(repr(scene)) < 300 and "12 fruits" in repr(scene)
+    assert len(repr(scene)) < 300 and "12 marks" in repr(scene)
     seen = []
     jax.jit(lambda robot, scene: seen.append(f"{robot}{scene}"))(robot, scene)
     assert "slide: prismatic" in seen[0]  # traced, too
@@ -696,7 +696,7 @@ name = "a"
 boxes = [[0.5, 0, -0.1, 1, 1, 0.1]]
 cylinders = [[0.5, 0, 0, 0.1, 1]]
 rotations = [[[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, -1, 0], [1, 0, 0], [0, 0, 1]]]
-[[fruit]]
+[[mark]]
 name = "b"
 position = [0, 0, 0]
 spheres = [[0, 0, 0, 0.1]]
@@ -742,7 +742,7 @@ def test_labelled_points(tmp_path, name, content):
     scene = jaxik.load_scene(write(tmp_path, name, content))
     assert scene.object_names == ("leaf_1", "fruit_1") and scene.removable == (True, False)
     assert np.allclose(scene.points.center, [[0.1, 0.7, 0.5]], atol=1e-7)
-    assert np.allclose(scene.fruits[0].position, (0.1, 0.7, 0.3), atol=1e-7)
+    assert np.allclose(scene.marks[0].position, (0.1, 0.7, 0.3), atol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -756,7 +756,7 @@ def test_labelled_points(tmp_path, name, content):
         ("label,x,y,z,X\nleaf,1,2,3,4\n", ("line 1", "column 'x' stands twice")),
         ("label,x,y,z\nleaf,1,2,nan\nfruit_1,0,0,0\n", ("'leaf'", "NaN")),
         ("label,x,y,z\nleaf,1,2,300\nfruit_1,0,0,0\n", ("'leaf'", "300 m, over 100 m", "millimetres")),
-        ("label,x,y,z\n", ("neither an object nor a fruit",)),
+        ("label,x,y,z\n", ("neither an object nor a mark",)),
     ],
 )
 def test_bad_points_are_one_line(tmp_path, content, words):

@@ -89,13 +89,13 @@ def test_a_neighbour_is_picked_before_a_leaf_is_taken_away(harvest):
 def test_what_stands_in_the_only_way(gate, mend):
     """Posts that may not go stand all around a fruit, but where the gate is."""
     builder = jaxik.collision.SceneBuilder("cage", point_radius=0.01)
-    builder.add_fruit("inner", (0.5, 0.66, 0.6), length=0.1, radius=0.02)
+    builder.add_mark("inner", (0.5, 0.66, 0.6), length=0.1, radius=0.02)
     ring = [(0.5 + 0.11 * np.sin(a), 0.66 - 0.11 * np.cos(a), z) for a in np.linspace(0.9, 5.4, 15) for z in (0.5, 0.6, 0.7)]
     builder.add("posts", removable=False, points=ring)
     if gate == "fruit":
-        builder.add_fruit("gate", (0.5, 0.53, 0.62), length=0.2, radius=0.03)
+        builder.add_mark("gate", (0.5, 0.53, 0.62), length=0.2, radius=0.03)
     else:
-        builder.add("gate", gate == "leaf", capsules=[[0.5, 0.53, 0.62, 0.5, 0.53, 0.42, 0.03]])
+        builder.add("gate", removable=gate == "leaf", capsules=[[0.5, 0.53, 0.62, 0.5, 0.53, 0.42, 0.03]])
     harvest = jaxik.harvest(jaxik.load("p6r"), builder.scene(), angles=24, slides=11)
     inner = harvest.rows[0]
     assert inner.reason == Reason.COLLISION and inner.blockers.mend == mend
@@ -140,11 +140,11 @@ def test_the_shipped_row_is_the_generators(tmp_path):
 @pytest.mark.parametrize(
     "text, words",
     [
-        ('name = "s"\n', "neither an object nor a fruit"),
-        ('name = "s"\n[[fruit]]\nname = "f"\nposition = [0, nan, 0]\n', "NaN"),
-        ('name = "s"\n[[fruit]]\nname = "f"\nposition = [0, 700, 0]\n', "over 100 m"),
-        ('name = "s"\n[[fruit]]\nname = "f"\nposition = [0, 1, 0]\n[[fruit]]\nname = "f"\nposition = [0, 1, 0]\n', "twice"),
-        ('name = "s"\n[[fruit]]\nname = "f"\nposition = [0, 1, 0]\ncolour = 1\n', "unknown key"),
+        ('name = "s"\n', "neither an object nor a mark"),
+        ('name = "s"\n[[mark]]\nname = "f"\nposition = [0, nan, 0]\n', "NaN"),
+        ('name = "s"\n[[mark]]\nname = "f"\nposition = [0, 700, 0]\n', "over 100 m"),
+        ('name = "s"\n[[mark]]\nname = "f"\nposition = [0, 1, 0]\n[[mark]]\nname = "f"\nposition = [0, 1, 0]\n', "twice"),
+        ('name = "s"\n[[mark]]\nname = "f"\nposition = [0, 1, 0]\ncolour = 1\n', "unknown key"),
         ("[broken", "malformed TOML"),
     ],
 )

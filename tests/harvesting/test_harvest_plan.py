@@ -69,7 +69,7 @@ def test_every_fruit_has_motions_or_a_reason(plan, harvested):
 def test_rows_have_what_those_of_the_harvest_have(plan, harvested):
     """`success`, and the posture `q` in which the tip grasps the fruit; and a neighbour that is picked first opens the next."""
     assert [row.success for row in plan.rows] == plan.success.tolist() and plan.q.shape == harvested.q.shape
-    for row, fruit in zip(plan.rows, plan.scene.fruits, strict=True):
+    for row, fruit in zip(plan.rows, plan.scene.marks, strict=True):
         if row.success:
             np.testing.assert_allclose(row.q, row.stages[1].trajectory.sample(0.01).q[-1], atol=1e-9)
             tip = plan.robot.world_T_base @ np.asarray(jaxik.forward_kinematics(plan.robot, row.q))
@@ -85,7 +85,7 @@ def test_the_shortest_order_is_shorter_than_the_rows(harvested):
     """By more than 15 %, of what was planned, against the best posture of each fruit from left to right."""
     row = jaxik.harvesting.plan_harvest(harvested, order="row", candidates=1)
     shortest = jaxik.harvesting.plan_harvest(harvested)
-    places = {fruit.name: fruit.position[0] for fruit in harvested.scene.fruits}
+    places = {fruit.name: fruit.position[0] for fruit in harvested.scene.marks}
     assert np.sum(np.diff([places[name] for name in row.order]) < 0.0) <= 1  # but for what could not be picked at first
     assert set(row.order) == set(shortest.order) and shortest.duration < 0.85 * row.duration
 
@@ -102,9 +102,9 @@ def test_a_body_that_is_not_round_is_carried_as_it_is_grasped():
     top, down = tips[0][:3, 3], tips[0][:3, 0]
     for more, arms in (({"length": 0.3, "radius": 0.02}, 1), ({"spheres": [[*(top + 0.1), 0.05]]}, 3)):
         builder = SceneBuilder()
-        builder.add_fruit("fruit", top, axis=-down, **more)
+        builder.add_mark("fruit", top, axis=-down, **more)
         scene = builder.scene()
-        found = list(carrying(robot, scene, scene.fruits[0], q[:1] if arms == 1 else q, Grasp()))
+        found = list(carrying(robot, scene, scene.marks[0], q[:1] if arms == 1 else q, Grasp()))
         assert len(found) == arms and all(arm.link_names[-1] == "held" for arm, _ in found)
 
 
@@ -184,7 +184,7 @@ def test_the_page_moves_the_fruit_with_the_gripper(plan, harvested):
     player, name = page.player, plan.order[0]
     fruit = player.fruits[name]
     approach, retreat, transport = plan.stages[1:4]
-    top = next(np.array(f.position) for f in plan.scene.fruits if f.name == name)
+    top = next(np.array(f.position) for f in plan.scene.marks if f.name == name)
     place = lambda: Rotation.from_quat(np.roll(fruit.wxyz, -1)).apply(top) + fruit.position
     player.show(approach.start + 0.03)
     np.testing.assert_allclose(place(), top, atol=1e-9)

@@ -22,9 +22,9 @@ ROBOT = jaxik.load("p6r")
 
 def crop(*objects, position=(0.5, 0.66, 0.6)):
     builder = jaxik.collision.SceneBuilder("crop", point_radius=0.01)
-    builder.add_fruit("fruit_1", position, length=0.3, radius=0.02)
+    builder.add_mark("fruit_1", position, length=0.3, radius=0.02)
     for name, removable, points in objects:
-        builder.add(name, removable, points=points)
+        builder.add(name, removable=removable, points=points)
     return builder.scene()
 
 
@@ -38,7 +38,7 @@ OPEN = crop(("leaf_1", True, wall(0.55)), ("leaf_2", True, wall(0.3)))
 
 def test_grasp_poses_satisfy_the_paper():
     """(5) of Van Henten et al. 2010 as printed, in the base frame with the fruit's axis along the base's z."""
-    fruit = OPEN.fruits[0]
+    fruit = OPEN.marks[0]
     upright = ROBOT.mounted(np.eye(4))  # the base frame is the world's: the fruit's axis is its z
     for pose in grasp_poses(upright, fruit, np.linspace(-3.0, 3.0, 7)):
         assert harvest_orientation_cost(pose[:3, :3]) <= 1e-28
@@ -47,7 +47,7 @@ def test_grasp_poses_satisfy_the_paper():
 
 @pytest.fixture(scope="module")
 def found():
-    return jaxik.harvesting.scan(ROBOT, OPEN, OPEN.fruits[0], angles=24, slides=7)
+    return jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], angles=24, slides=7)
 
 
 def test_the_table_is_what_one_by_one_gives(found):
@@ -79,16 +79,16 @@ def test_weights_rank(found):
     free = found.table.clearance >= 0.005
     assert free.any()
     for weights, column in ((Weights(1.0, 0.0, reach=10.0), found.table.clearance), (Weights(0.0, 1.0), found.table.freedom)):
-        best = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.fruits[0], 24, 7, weights).table.best(0.005)
+        best = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], 24, 7, weights).table.best(0.005)
         assert column[best] == column[free].max()
     with pytest.raises(ValueError, match="reach > 0"):
         Weights(reach=0.0)
 
 
 def test_two_steps_take_the_next_angle_where_the_best_has_none(found):
-    order, distance = approach_angles(ROBOT, OPEN, OPEN.fruits[0], 24)
+    order, distance = approach_angles(ROBOT, OPEN, OPEN.marks[0], 24)
     assert np.all(np.diff(distance) <= 0.0) and set(np.round(order, 9)) == set(np.round(found.angles, 9))
-    steps, tried = scan_two_step(ROBOT, OPEN, OPEN.fruits[0], 24, 7)
+    steps, tried = scan_two_step(ROBOT, OPEN, OPEN.marks[0], 24, 7)
     assert steps.reason == Reason.SOLVED and steps.angles[0] == order[tried - 1]
     for angle in order[: tried - 1]:  # those before have no posture in the full scan either
         assert not np.any(found.status[np.argmin(np.abs(found.angles - angle))] == Reason.SOLVED)
@@ -96,7 +96,7 @@ def test_two_steps_take_the_next_angle_where_the_best_has_none(found):
 
 def test_the_slope_of_recovery_is_autodiffs():
     """Clearance over (angle, slide), differentiated through the closed form; the driver's own route is by Jacobian."""
-    fruit, others = OPEN.fruits[0], OPEN.without([0])
+    fruit, others = OPEN.marks[0], OPEN.without([0])
     axis = ROBOT.world_T_base[:3, :3].T @ fruit.axis
     centre, reference = np.linalg.inv(ROBOT.world_T_base) @ [*fruit.position, 1.0], grasp_poses(ROBOT, fruit, np.zeros(1))[0]
 
@@ -128,7 +128,7 @@ def test_arms_of_other_families(name, given):
     given is moved along a function's slope, as differences of the closed form have it."""
     robot = jaxik.load(name)
     scene = OPEN if name != "iiwa14" else crop(("leaf_1", True, wall(0.3)), position=(0.45, 0.1, 0.5))
-    fruit = scene.fruits[0]
+    fruit = scene.marks[0]
     found = jaxik.harvesting.scan(robot, scene, fruit, angles=16, slides=9)
     table = found.table
     assert len(table.q) and table.leading.shape[1] == given
@@ -150,26 +150,26 @@ def test_arms_of_other_families(name, given):
 
 
 def test_recovery_finds_what_the_grid_misses():
-    fine = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.fruits[0], 72, 41)
+    fine = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], 72, 41)
     best = float(fine.table.clearance.max())
-    coarse = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.fruits[0], 7, 3, margin=0.95 * best)
+    coarse = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], 7, 3, margin=0.95 * best)
     assert coarse.reason != Reason.SOLVED  # so high a margin that so coarse a grid has nothing
     mended = recover(ROBOT, OPEN, coarse, margin=float(coarse.table.clearance.max()) + 0.004)
     assert mended is not None and mended.how in ("finer grid", "gradient")
     assert mended.row.clearance[0] > coarse.table.clearance.max()
     q = mended.row.q[0].astype(np.float64)
-    pose = grasp_poses(ROBOT, OPEN.fruits[0], mended.row.angle)[0]
+    pose = grasp_poses(ROBOT, OPEN.marks[0], mended.row.angle)[0]
     assert np.max(np.abs(jaxik.forward_kinematics(ROBOT, q) - pose)) <= 2e-5
     assert np.all((q >= ROBOT.lower - 1e-6) & (q <= ROBOT.upper + 1e-6))
 
 
 def test_gradient_ascent_alone_reaches_the_margin():
-    coarse = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.fruits[0], 7, 3)
+    coarse = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], 7, 3)
     margin = float(coarse.table.clearance.max()) + 0.003
     climbed = _climb(ROBOT, OPEN, coarse, _misses(coarse), Weights(), margin, None)
     assert climbed is not None and climbed.how == "gradient" and climbed.row.clearance[0] >= margin
     q = climbed.row.q[0].astype(np.float64)
-    assert np.max(np.abs(jaxik.forward_kinematics(ROBOT, q) - grasp_poses(ROBOT, OPEN.fruits[0], climbed.row.angle)[0])) <= 2e-5
+    assert np.max(np.abs(jaxik.forward_kinematics(ROBOT, q) - grasp_poses(ROBOT, OPEN.marks[0], climbed.row.angle)[0])) <= 2e-5
 
 
 @pytest.mark.parametrize("leading", [0, 2])
@@ -200,21 +200,22 @@ def _lift(z):
 
 def test_each_reason():
     far = crop(position=(0.5, 9.0, 0.6))
-    assert jaxik.harvesting.scan(ROBOT, far, far.fruits[0], 12, 5).reason == Reason.OUT_OF_REACH
+    assert jaxik.harvesting.scan(ROBOT, far, far.marks[0], 12, 5).reason == Reason.OUT_OF_REACH
     cage = [(0.5 + 0.09 * np.cos(a), 0.66 + 0.09 * np.sin(a), z) for a in np.linspace(0, 6, 24) for z in (0.55, 0.6, 0.65)]
     shut = crop(("leaf_1", True, cage[::2]), ("post_1", False, cage[1::2]))
-    found = jaxik.harvesting.scan(ROBOT, shut, shut.fruits[0], 24, 9)
+    found = jaxik.harvesting.scan(ROBOT, shut, shut.marks[0], 24, 9)
     assert found.reason == Reason.COLLISION
     assert jaxik.harvesting.blockers(ROBOT, shut, found).removal is None  # the post may not go
     loose = crop(("leaf_1", True, cage[::2]), ("leaf_2", True, cage[1::2]))
-    assert set(
-        jaxik.harvesting.blockers(ROBOT, loose, jaxik.harvesting.scan(ROBOT, loose, loose.fruits[0], 24, 9)).removal
-    ) <= {"leaf_1", "leaf_2"}
+    assert set(jaxik.harvesting.blockers(ROBOT, loose, jaxik.harvesting.scan(ROBOT, loose, loose.marks[0], 24, 9)).removal) <= {
+        "leaf_1",
+        "leaf_2",
+    }
     upside = jaxik.make_scene(points=[[0, 0, 0]])
     with pytest.raises(ValueError, match="no fruit"):
         jaxik.harvest(ROBOT, upside)
     with pytest.raises(ValueError, match="needs the closed form"):
-        jaxik.harvesting.scan(jaxik.load("pendulum4"), OPEN, OPEN.fruits[0])
+        jaxik.harvesting.scan(jaxik.load("pendulum4"), OPEN, OPEN.marks[0])
 
 
 def test_a_million_candidates_stay_below_a_gibibyte():
@@ -224,7 +225,7 @@ def test_a_million_candidates_stay_below_a_gibibyte():
 
 def test_counts_of_any_integer_and_values_of_any_sequence(found):
     """A count is an integer of any kind; what is neither a count nor values is refused in one line."""
-    fruit = OPEN.fruits[0]
+    fruit = OPEN.marks[0]
     same = lambda **grid: jaxik.harvesting.scan(ROBOT, OPEN, fruit, **{"angles": 24, "slides": 7} | grid).status
     low, high = ROBOT.lower[0], ROBOT.upper[0]
     for angles in (np.int64(24), np.uint8(24), np.array(24), found.angles, list(found.angles)):

@@ -56,7 +56,7 @@ def test_trellis_crops(kind):
     assert scene.object_names == again.object_names and scene.counts["boxes"] > 20
     np.testing.assert_array_equal(scene.boxes.half, again.boxes.half)
     targets = np.array(TRELLIS_TARGETS[kind]) / 100.0
-    fruits = np.stack([fruit.position for fruit in scene.fruits])
+    fruits = np.stack([fruit.position for fruit in scene.marks])
     np.testing.assert_allclose(fruits[: len(targets)], targets)
     assert np.all((fruits[:, 2] >= 0.5) & (fruits[:, 2] <= 1.2))
     centre = np.asarray(scene.boxes.world_T_box)[:, :3, 3]

@@ -13,7 +13,7 @@ import jaxik
 from jaxik.harvesting.grasp import fruit_frames
 
 ROBOT, SCENE = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
-FRUIT = SCENE.fruits[0]
+FRUIT = SCENE.marks[0]
 AROUND = SCENE.without([FRUIT.name]).geometry()
 POSES = fruit_frames(FRUIT, np.linspace(-np.pi, np.pi, 24, endpoint=False))
 
@@ -44,7 +44,7 @@ def scanned():
 
 
 def test_gradient_by_base_link_and_scene_is_that_of_differences():
-    fruit = SCENE.fruits[8]  # among leaves
+    fruit = SCENE.marks[8]  # among leaves
     around = SCENE.without([fruit.name]).geometry()
     at, q = jaxik.reach.likely_postures(ROBOT, around, fruit_frames(fruit, np.linspace(-np.pi, np.pi, 24, endpoint=False)))
     both, step = lambda x: sloped(jaxik.reach.reach_score, x, around, at, q.astype(float)), 1e-5
