@@ -24,12 +24,12 @@ import jax.numpy as jnp
 import numpy as np
 import pendulum
 import self_collision as case
+from papers import ilqr
 from papers.boundary_problem import boundary_value
 from race import machine
 
 import jaxik
 from jaxik.motions.predictive import future, objective, problem
-from jaxik.optimise import ilqr
 
 SAMPLES, HORIZONS = 2000, (0.15, 0.5, 1.0, 2.0)
 ALPHAS = (0.3, 1.0, 3.0)

@@ -1,7 +1,6 @@
 """External torque from motor currents and torsions, alarms, and a simulated plant to try them on."""
 
 from jaxik.estimation.detection import Detector, Judged, detect, fit_detector, judge_alarms
-from jaxik.estimation.kalman import KalmanFilter
 from jaxik.estimation.lowpass import Butterworth
 from jaxik.estimation.momentum_observer import MomentumObserver
 from jaxik.estimation.plant import Gains, Instruments, Push, SimulatedLog, mujoco_model, play
@@ -15,7 +14,6 @@ __all__ = [
     "Gains",
     "Instruments",
     "Judged",
-    "KalmanFilter",
     "MomentumObserver",
     "Push",
     "Sample",

@@ -19,7 +19,6 @@ External is what the world does to the joints, J'f of a force f on the arm, as t
 from __future__ import annotations
 
 import dataclasses
-import functools
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -27,10 +26,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, is_known, numbers
-from jaxik.checks.options import check_flag, check_kind
+from jaxik.checks.options import check_kind
 from jaxik.dynamics.actuation import torque_of_current
 from jaxik.dynamics.recursions import inverse_dynamics
-from jaxik.estimation.kalman import KalmanFilter, KalmanState
 from jaxik.estimation.sampled import Sample
 from jaxik.kinematics.robot import Robot, need_drives
 from jaxik.pytree import Constant
@@ -106,14 +104,6 @@ class TorqueFilter(Constant):
         """The next T_ext (n,), of the one before and a sample. Traced."""
         return external + self.gain * (self.residual(current, torsion, internal) - external)
 
-    def kalman(self) -> KalmanFilter:
-        """The same in matrices, for the full recursion, whose gain changes until it is steady; `x` is T, `u` the change of
-        T_int, `y` the currents and then the torsions. Host."""
-        one, noise = np.eye(len(self.process)), np.concatenate([self.current_noise, self.torsion_noise])
-        there = np.isfinite(noise)  # what is no sensor sees nothing, and any noise will do
-        C = np.concatenate([np.diag(self.current_per_torque), np.diag(self.torsion_per_torque)])
-        return KalmanFilter(one, one, there[:, None] * C, np.diag(self.process), np.diag(np.where(there, noise, 1.0)))
-
 
 class Sensed(NamedTuple):
     """A sample in the filter's terms, each (n,): currents less what friction takes [A], torsions [rad], T_int [Nm]."""
@@ -129,35 +119,23 @@ class SteadyState(NamedTuple):
     external: Float[Array, " n"]
 
 
-class RecursiveState(NamedTuple):
-    """The recursion's estimate of T, its covariance and gain, the last T_int (n,), and T_ext (n,) [Nm]."""
-
-    torque: KalmanState
-    internal: Float[Array, " n"]
-    external: Float[Array, " n"]
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class TorqueEstimator:
     """The filter on a robot with drives: T_int by `inverse_dynamics`, friction by the drives' laws. For `estimate` and
     `EstimationLoop`.
 
     Where q, qdot and qddot are those that were asked for, they are as smooth as the plan. `width` [rad/s, m/s] is that of
-    `friction_torque`. With `steady` False the gain is the full recursion's, which begins at T_int with the variance `start`
-    [Nm2]. A sample has currents and torsions where the filter has a finite noise of any; raises `ValueError` for one without,
-    for a robot without drives, and for a filter of other joints.
+    `friction_torque`. A sample has currents and torsions where the filter has a finite noise of any; raises `ValueError` for
+    one without, for a robot without drives, and for a filter of other joints.
     """
 
     robot: Robot
     filter: TorqueFilter
     width: float = 0.0
-    steady: bool = True
-    start: float = 1.0
 
     def __post_init__(self) -> None:
         need_drives("torque estimator", self.robot)
         check_kind("torque estimator", "filter", self.filter, TorqueFilter)
-        check_flag("torque estimator", steady=self.steady)
         if len(self.filter.process) != self.robot.num_joints:
             joints = f"{self.robot.name} has {self.robot.num_joints} joints"
             raise ValueError(f"torque estimator: a filter of {len(self.filter.process)} joints; {joints}")
@@ -178,22 +156,10 @@ class TorqueEstimator:
         there = not is_known(noise) or np.isfinite(noise).any()
         return sample.needed("torque estimator", name) if there or getattr(sample, name) is not None else 0.0 * sample.q
 
-    def init(self, sensed: Sensed) -> SteadyState | RecursiveState:
+    def init(self, sensed: Sensed) -> SteadyState:
         """As if nothing touched the arm. Traced."""
-        external = jnp.zeros_like(sensed.internal)
-        if self.steady:
-            return SteadyState(external)
-        n = self.robot.num_joints
-        return RecursiveState(self._kalman.init(sensed.internal, self.start * jnp.eye(n)), sensed.internal, external)
+        return SteadyState(jnp.zeros_like(sensed.internal))
 
-    def advance(self, state: Any, sensed: Sensed, missed: Any = 0) -> SteadyState | RecursiveState:
+    def advance(self, state: SteadyState, sensed: Sensed, missed: Any = 0) -> SteadyState:
         """The next state; each sample tells a torque by itself, so that those `missed` only make it come later. Traced."""
-        if self.steady:
-            return SteadyState(self.filter.step(state.external, *sensed))
-        measured = jnp.concatenate([sensed.current, sensed.torsion])
-        torque = self._kalman.step(state.torque, sensed.internal - state.internal, measured)
-        return RecursiveState(torque, sensed.internal, sensed.internal - torque.x)
-
-    @functools.cached_property
-    def _kalman(self) -> KalmanFilter:
-        return self.filter.kalman()
+        return SteadyState(self.filter.step(state.external, *sensed))

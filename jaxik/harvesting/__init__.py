@@ -7,8 +7,7 @@ from jaxik.harvesting.grasp import Grasp
 from jaxik.harvesting.harvest_plan import Cycle, HarvestPlan, HarvestPlanOptions, Stage
 from jaxik.harvesting.harvest_plan_files import save_harvest_plan
 from jaxik.harvesting.harvest_planner import plan_harvest
-from jaxik.harvesting.image_mapping import fit_mapping
-from jaxik.harvesting.scanning import Weights, approach_angles, scan, scan_two_step
+from jaxik.harvesting.scanning import Weights, scan
 
 __all__ = [
     "Cycle",
@@ -19,13 +18,10 @@ __all__ = [
     "HarvestPlanOptions",
     "Stage",
     "Weights",
-    "approach_angles",
     "blockers",
     "crop",
-    "fit_mapping",
     "harvest",
     "plan_harvest",
     "save_harvest_plan",
     "scan",
-    "scan_two_step",
 ]

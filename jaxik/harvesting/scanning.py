@@ -2,7 +2,7 @@
 
 Van Henten et al. (2010, sec. 4) scan in two steps: the angle of the last three links first, then the slide at that angle.
 Here the superset is scanned at once (every angle with every slide position and all eight branches), because in a batch it
-costs less than deciding what to leave out; the two steps are `approach_angles` and `scan(..., angles=[best])`. Where the
+costs less than deciding what to leave out. Where the
 grid has no posture, `grid_refinement` looks between its points, which is what the paper left open.
 
 The drivers of this module run on the host: they chunk, pad to one shape, and drop candidates as soon as they are out.
@@ -14,15 +14,13 @@ import dataclasses
 import functools
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxik.analytic.families import scan_obstacle
 from jaxik.analytic.solutions import BRANCHES, closed_branches, valid_branches
 from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.bvh import grouped
-from jaxik.collision.clearances import check_geometry, clearance, object_clearances
+from jaxik.collision.clearances import check_geometry, clearance
 from jaxik.collision.scene import Mark, Scene, remembered
 from jaxik.costs import joint_limit_margin
 from jaxik.harvesting.grasp import Grasp, approach_grid, grasp_poses
@@ -182,48 +180,3 @@ def measured(robot: Robot, scene: Scene, fruit: Mark, q: np.ndarray) -> tuple[np
         return np.zeros(0), np.zeros(0)
     distance, freedom = in_blocks(measures(robot), q, fixed=(grouped(without_fruit(scene, fruit), robot),))
     return distance, freedom
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# The first of the paper's two steps
-
-
-def approach_angles(
-    robot: Robot, scene: Scene, fruit: Mark, angles: Any = 72, grasp: Grasp | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """The approach angles [rad] from best to worst, and the clearance [m] of the last three links, straight, at each. Host
-    driver.
-
-    Source: Van Henten et al. 2010, sec. 4.1, step 1.
-    """
-    at = approach_grid(angles)
-    hand = robot.part(robot.num_joints - 3, robot.num_joints)
-    rest = np.zeros(hand.num_joints)
-    straight = hand.joint_T_tip
-    for frame in hand.parent_T_joint[::-1]:
-        straight = frame @ straight
-    placed = robot.world_T_base @ grasp_poses(robot, fruit, at, grasp) @ np.linalg.inv(straight)
-    others = without_fruit(scene, fruit)
-    each = jax.jit(jax.vmap(lambda frame: jnp.min(object_clearances(hand.mounted(frame), others, rest))))
-    distance = np.asarray(each(placed))
-    order = np.argsort(-distance, kind="stable")
-    return at[order], distance[order]
-
-
-def scan_two_step(
-    robot: Robot, scene: Scene, fruit: Mark, angles: Any = 72, slides: Any = 41, **options: Any
-) -> tuple[Scan, int]:
-    """The paper's two steps, with the recovery that it lacks: where the best angle has no posture the next one is taken. Host
-    driver.
-
-    Returns the scan of the first angle that has one (else of the best angle) and how many angles were tried.
-    """
-    order, _ = approach_angles(robot, scene, fruit, angles, options.get("grasp"))
-    first = None
-    for tried, angle in enumerate(order, 1):
-        found = scan(robot, scene, fruit, np.array([angle]), slides, **options)
-        first = first or found
-        if found.reason == Reason.SOLVED:
-            return found, tried
-    assert first is not None
-    return first, len(order)

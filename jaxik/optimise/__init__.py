@@ -1,6 +1,5 @@
-"""Solvers that know no robot: sequential quadratic programming, descent in a space of functions, LQR."""
+"""Solvers that know no robot: sequential quadratic programming, descent in a space of functions."""
 
-from jaxik.optimise import ilqr
 from jaxik.optimise.descent import QUASI_NEWTON, Descent
 
-__all__ = ["QUASI_NEWTON", "Descent", "ilqr"]
+__all__ = ["QUASI_NEWTON", "Descent"]

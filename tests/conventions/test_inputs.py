@@ -235,9 +235,8 @@ def test_resolved_rates(name, value):
 @cheap
 @given(ANYTHING)
 def test_other_arrays_and_counts(value):
-    pairs, poses = [1.0, 2.0, 3.0, 4.0], np.tile(np.eye(4), (2, 1, 1))
+    poses = np.tile(np.eye(4), (2, 1, 1))
     calls = {
-        (4,): [lambda: jaxik.harvesting.fit_mapping(value, pairs), lambda: jaxik.harvesting.fit_mapping(pairs, value)],
         (2,): [
             lambda: jaxik.kinematics.turns(ARM, value),
             lambda: jaxik.motions.MovingHorizon(ARM, COST, HORIZON).start(value),
@@ -249,7 +248,6 @@ def test_other_arrays_and_counts(value):
         assert plain(value, *shape) or [answer(call) for call in each] == [None] * len(each)
     if not plain(value) or np.asarray(value).dtype.kind not in "iu" or value < 1:
         counts = [
-            lambda: jaxik.harvesting.fit_mapping(pairs, pairs, value),
             lambda: jaxik.motions.MovingHorizon(ARM, COST, HORIZON, value),
         ]
         counts += [lambda: jaxik.motions.multistart(ARM, LINE, 1.0, ZEROS, COST, HORIZON, value)]
@@ -276,7 +274,6 @@ def test_what_is_of_another_kind():
     refused("up", jaxik.harvesting.Grasp, up=(0.0, 0.0, 2.0))
     refused("margin", jaxik.IKOptions, margin=10**400)
     refused("no such shipped", jaxik.load, "x" * 300)
-    refused("overflow", jaxik.harvesting.fit_mapping, [1.0, 2.0, 1e300, 4.0], [1.0, 2.0, 3.0, 4.0])
 
 
 def test_one_line_says_what_reads_a_file():

@@ -1,4 +1,4 @@
-"""Scans: the grid against brute force, the paper's two steps, recovery's slope against autodiff, blockers by brute force."""
+"""Scans: the grid against brute force, recovery's slope against autodiff, blockers by brute force."""
 
 import itertools
 
@@ -13,7 +13,7 @@ import jaxik
 from jaxik.files.shipped import models_folder
 from jaxik.harvesting.grasp import grasp_poses
 from jaxik.harvesting.grid_refinement import _climb, _misses, _self_motion, recover
-from jaxik.harvesting.scanning import Weights, approach_angles, scan_two_step
+from jaxik.harvesting.scanning import Weights
 from jaxik.kinematics.forward import joint_frames
 from jaxik.reasons import Reason
 
@@ -83,15 +83,6 @@ def test_weights_rank(found):
         assert column[best] == column[free].max()
     with pytest.raises(ValueError, match="reach > 0"):
         Weights(reach=0.0)
-
-
-def test_two_steps_take_the_next_angle_where_the_best_has_none(found):
-    order, distance = approach_angles(ROBOT, OPEN, OPEN.marks[0], 24)
-    assert np.all(np.diff(distance) <= 0.0) and set(np.round(order, 9)) == set(np.round(found.angles, 9))
-    steps, tried = scan_two_step(ROBOT, OPEN, OPEN.marks[0], 24, 7)
-    assert steps.reason == Reason.SOLVED and steps.angles[0] == order[tried - 1]
-    for angle in order[: tried - 1]:  # those before have no posture in the full scan either
-        assert not np.any(found.status[np.argmin(np.abs(found.angles - angle))] == Reason.SOLVED)
 
 
 def test_the_slope_of_recovery_is_autodiffs():

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from robots import bare, pinocchio
-from scipy.optimize import linprog, lsq_linear, minimize
+from scipy.optimize import linprog
 
 import jaxik
 from jaxik.dynamics.recursions import inverse_dynamics, mass_matrix
@@ -17,7 +17,7 @@ from jaxik.kinematics.robot import Body
 from jaxik.motions.nullspace import Box, asc, rac, resolve_velocity, rmrc
 from jaxik.motions.path import Arc, Curve, Line, TipMotion
 from jaxik.motions.predictive import Horizon, energy_cost, future, multistart, objective, predict, problem, quadratic_cost
-from jaxik.optimise import ilqr, ocp
+from jaxik.optimise import ocp
 from jaxik.optimise.descent import QUASI_NEWTON, Descent
 
 IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
@@ -452,41 +452,3 @@ def test_multistart_puts_what_is_solved_first():
     found = multistart(robot, path, 1.0, start, quadratic_cost(lambda q: 9.0 * (q[1] - 3.0) ** 2), horizon, 16, 4.0)
     assert 0 < found.success.sum() < 16 and np.all(np.diff(found.success.astype(int)) <= 0)
     assert found.total[~found.success].min() < found.total[0]
-
-
-def test_ilqr_agrees_and_keeps_its_bounds(pendulum, line):
-    cost = quadratic_cost(lambda q: 2.0 * jnp.sum((q - 0.3) ** 2))
-    horizon = Horizon(0.1, 20, task=IN_PLANE, descend=dataclasses.replace(QUASI_NEWTON, tolerance=1e-13))
-    quasi = predict(pendulum, line, 2.0, START, cost, horizon)
-    control, ahead = problem(pendulum, cost, horizon), future(line, 2.0, horizon)
-    solve = jax.jit(
-        lambda bound: ilqr.solve(control, (jnp.asarray(START), jnp.zeros(4)), jnp.zeros((20, 4)), ahead, -bound, bound)
-    )
-    found = solve(jnp.inf)
-    assert abs(float(found.run.total / quasi.total) - 1.0) < 1e-7
-    np.testing.assert_allclose(found.w, quasi.w, atol=1e-3)
-    bound = 0.3 * float(jnp.abs(found.w).max())
-    held = solve(bound)
-    assert jnp.abs(held.w).max() <= bound and held.run.total > found.run.total
-    goal = objective(pendulum, cost, horizon, jnp.asarray(START), ahead)
-
-    @jax.jit
-    def total_and_slope(w):
-        total, run = goal.value(w.reshape(20, 4))
-        return total, horizon.dt * goal.gradient(w.reshape(20, 4), run).ravel()
-
-    judged = lambda w: tuple(np.asarray(x, np.float64) for x in total_and_slope(w))
-    tight = {"ftol": 1e-15, "gtol": 1e-10, "maxiter": 2000}
-    theirs = minimize(judged, np.zeros(80), jac=True, bounds=[(-bound, bound)] * 80, method="L-BFGS-B", options=tight)
-    assert float(held.run.total) <= theirs.fun * (1.0 + 1e-6)
-
-
-def test_box_qp_against_scipy():
-    rng, solve = np.random.default_rng(0), jax.jit(ilqr.box_qp)
-    for _ in range(30):
-        root, target = rng.normal(size=(7, 5)), rng.normal(size=7)
-        low, high = -rng.uniform(0.0, 0.5, 5), rng.uniform(0.0, 0.5, 5)
-        x, free = solve(root.T @ root, -root.T @ target, low, high)
-        theirs = lsq_linear(root, target, (low, high), tol=1e-14)
-        np.testing.assert_allclose(x, theirs.x, atol=1e-7)
-        assert np.all((np.asarray(free) == 1.0) == ((x > low) & (x < high)))

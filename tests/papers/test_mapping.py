@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-
-from jaxik.harvesting import fit_mapping
+from papers.image_mapping import fit_mapping
 
 PIXELS, FIELD = [202.0, 214.0, 253.0, 280.0], [280.0, 330.0, 570.0, 870.0]  # IJE 2022, table 2 [pixel], [mm]
 
@@ -26,6 +25,7 @@ def test_equation_3():
         ([1.0, 1.0, 2.0], [1.0, 2.0, 3.0], "2 different pixels"),
         ([1.0, 2.0, np.nan], [1.0, 2.0, 3.0], "NaN"),
         ([1.0, 2.0, 3.0], [1.0, 2.0], "(3,)"),
+        ([1.0, 2.0, 1e300, 4.0], [1.0, 2.0, 3.0, 4.0], "overflow"),
     ],
 )
 def test_bad_pairs(image, field, words):

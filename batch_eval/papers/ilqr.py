@@ -20,7 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Float, Int
 
 from jaxik.optimise import ocp
 
@@ -43,16 +42,16 @@ class Options:
 class Found(NamedTuple):
     """The best input (N, m), its roll-out, how many iterations, and the total before and after each, then NaN."""
 
-    w: Float[jax.Array, "*b k m"]
+    w: jax.Array
     run: ocp.Run
-    iterations: Int[jax.Array, "*b"]
-    totals: Float[jax.Array, "*b j1"]
+    iterations: jax.Array
+    totals: jax.Array
 
 
 def solve(
     problem: ocp.Problem, y: Any, w: Any, p: Any, low: Any = -jnp.inf, high: Any = jnp.inf, options: Options = Options()
 ) -> Found:
-    """From the state y and the first inputs w (N, m), within `low` and `high`, numbers or (m,). Traced."""
+    """Solves it from the state y and the first inputs w (N, m), within `low` and `high`, numbers or (m,). Traced."""
     low, high = (jnp.broadcast_to(jnp.asarray(b, w.dtype), w.shape[1:]) for b in (low, high))
     w = jnp.clip(w, low, high)
     start = ocp.roll_out(problem, y, w, p)
@@ -89,7 +88,7 @@ def solve(
 
 
 def _quadratics(problem: ocp.Problem, run: ocp.Run, w: Any, p: Any) -> tuple[Any, Any, Any]:
-    """Of each sample, by its state and input as one: the step's derivative (s, s + m), and the cost's first and second."""
+    """Returns, for each sample, the step's derivative (s, s + m) by state and input as one, and the cost's first and second."""
 
     def sample(y: Any, v: Any, w: Any, p: Any) -> tuple[Any, Any, Any]:
         x, state = ravel_pytree(y)

@@ -5,13 +5,9 @@ IJE 2022, sec. 2.3 fits a quadratic to four pairs (table 2): y = 0.0667 x^2 - 24
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-
-from jaxik.checks.arrays import Array, numbers
-from jaxik.checks.options import as_count
 
 
 class Mapping(NamedTuple):
@@ -20,18 +16,18 @@ class Mapping(NamedTuple):
     coefficients: np.ndarray
     r_squared: float
 
-    def __call__(self, image: Float[Array, "..."]) -> Float[np.ndarray, "..."]:
+    def __call__(self, image: Any) -> np.ndarray:
         """The place in the field, in the unit that the mapping was fitted in."""
         return np.polyval(self.coefficients, np.asarray(image, np.float64))
 
 
-def fit_mapping(image: Float[Array, " k"], field: Float[Array, " m"], degree: int = 2) -> Mapping:
-    """The least-squares polynomial through pairs of image [pixel] and field coordinates, by NumPy's `polyfit`. Host.
+def fit_mapping(image: Any, field: Any, degree: int = 2) -> Mapping:
+    """Returns the least-squares polynomial through pairs of image [pixel] and field coordinates (k,), by NumPy's `polyfit`.
 
-    Raises `ValueError` for fewer pairs than coefficients, pairs that are not finite, or too few different pixels.
+    Raises `ValueError` for pairs that do not fit or are not finite, for too few different pixels, and for numbers whose powers
+    overflow.
     """
-    x, y = numbers("fit_mapping: image", image), numbers("fit_mapping: field", field)
-    degree = as_count("fit_mapping: degree", degree)
+    x, y = np.asarray(image, np.float64), np.asarray(field, np.float64)
     if x.shape != y.shape or x.ndim != 1:
         raise ValueError(f"fit_mapping: image has shape {x.shape} and field {y.shape}; allowed: (k,) each")
     if not np.all(np.isfinite(x)) or not np.all(np.isfinite(y)):
