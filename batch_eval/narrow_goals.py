@@ -72,7 +72,7 @@ def obstacles(name: str, robot: jaxik.Robot) -> jaxik.Scene:
 def configurations(robot: jaxik.Robot, scene: jaxik.Scene, count: int) -> dict[str, np.ndarray]:
     """Up to `count` configurations of goals of each kind, (m, n)."""
     measure = jax.jit(jax.vmap(lambda q: (jaxik.clearance(robot, scene, q), jaxik.clearance(robot, None, q))))
-    rng, limits = np.random.default_rng(15), jaxik.kinematics.finite_limits(robot)
+    rng, limits = np.random.default_rng(15), robot.finite_limits
     kept: dict[str, list[np.ndarray]] = {"scene": [], "self": [], "easy": []}
     for _ in range(20):
         q = rng.uniform(*limits, (5000, robot.num_joints))
