@@ -82,7 +82,7 @@ class Judge:
         for seed in range(-(-count // portion)):
             q = configurations(self.robot, portion, seed)
             poses = np.array([pinocchio(row) for row in q])
-            found = self.solve(poses, jaxik.analytic.given_values(self.robot, q))
+            found = self.solve(poses, jaxik.analytic.redundancy(self.robot).of(q))
             each, valid = np.asarray(found.q), np.asarray(found.valid)
             back = np.asarray(self.forward(each.reshape(-1, q.shape[1]))).reshape(*each.shape[:2], 4, 4)
             worst = max(worst, float(np.max(np.abs(back - poses[:, None]), where=valid[..., None, None], initial=0.0)))
@@ -106,7 +106,7 @@ class Judge:
         for pose in poses:
             theirs = self._exact(peer, pose, end, fixed)
             # an arm angle is another one for each branch: the closed form is asked at each
-            given = jaxik.analytic.given_values(self.robot, theirs) if len(theirs) else np.zeros((0, 0))
+            given = jaxik.analytic.redundancy(self.robot).of(theirs) if len(theirs) else np.zeros((0, 0))
             asked = np.unique(np.round(given, 9), axis=0) if len(theirs) else given
             ours = [self._at(pose, row) for row in (asked if len(asked) else given)]
             ours = np.concatenate(ours) if ours else np.zeros((0, q.shape[1]))
@@ -155,7 +155,7 @@ def entries(name: str, dtype: Any, count: int = 50_000) -> list[Entry]:
         robot = jaxik.load(name)
         q = configurations(robot, count, 0)
         poses = np.asarray(jax.jit(jax.vmap(functools.partial(jaxik.forward_kinematics, robot)))(q))
-        given = jaxik.analytic.given_values(robot, q)
+        given = jaxik.analytic.redundancy(robot).of(q)
         peer, fixed, end = eaik(robot)
         q[:, list(fixed)] = list(fixed.values())
         at = np.asarray(jax.jit(jax.vmap(functools.partial(jaxik.forward_kinematics, robot)))(q)).copy()

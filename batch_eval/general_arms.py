@@ -16,20 +16,50 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 import pinocchio as pin
 from race import machine
 
-from jaxik.homotopy import general_arm, general_kernel
-from jaxik.kinematics.axes import Axes
+import jaxik
+from jaxik.homotopy import all_postures
 
 OUT = Path(__file__).with_suffix(".json")
 STARTS, STEPS = 300, 40
 SAME = 1e-5  # [rad] nearer postures are one
 EXACT = 1e-10  # [m, rad] of a round trip
 SPECIAL = {"any links": 0.0, "with parallel, meeting and square axes": 0.3}
+
+
+class Axes(NamedTuple):
+    """Six lines in space, directions h (6, 3) through points p (6, 3) [m], and the tip (4, 4) where the joints are at 0."""
+
+    h: np.ndarray
+    p: np.ndarray
+    tip: np.ndarray
+
+
+def robot_of(axes: Axes) -> jaxik.Robot:
+    """The robot of revolute joints about these axes."""
+    frames, tip, turn = np.tile(np.eye(4), (6, 1, 1)), axes.tip.copy(), np.full(6, np.pi)
+    frames[:, :3, 3], tip[:3, 3] = np.diff(axes.p, axis=0, prepend=0.0), axes.tip[:3, 3] - axes.p[5]
+    return jaxik.Robot(
+        name="six axes",
+        joint_names=tuple(f"joint{i}" for i in range(6)),
+        joint_types=("revolute",) * 6,
+        link_names=(),
+        link_joint=(),
+        parent_T_joint=frames,
+        axis=axes.h,
+        joint_T_tip=tip,
+        link_offset=np.zeros((0, 4, 4)),
+        lower=-turn,
+        upper=turn,
+        velocity=turn,
+        world_T_base=np.eye(4),
+    )
 
 
 def random_arm(random: np.random.Generator, special: float) -> Axes:
@@ -148,25 +178,24 @@ def configurations(random: np.random.Generator) -> dict[str, np.ndarray]:
 
 def compared(arms: int, special: float) -> dict[str, Any]:
     """How many postures each side has of the targets of so many arms."""
-    random, rows, counts, offline, kernel = np.random.default_rng(21), {}, {}, [], general_kernel()
+    random, rows, counts, offline = np.random.default_rng(21), {}, {}, []
     tally = {kind: dict.fromkeys(("targets", "postures", "multistart", "lost", "false", "incomplete"), 0) for kind in KINDS}
     worst, weak = 0.0, 0
     while sum(counts.values()) < arms:
         axes = random_arm(random, special)
-        start = time.process_time()
+        robot, start = robot_of(axes), time.process_time()
         try:
-            arm = general_arm(axes)
+            count = int(all_postures(robot, axes.tip).most)
         except ValueError:
             weak += 1
             continue
         offline.append(time.process_time() - start)
-        count = int(arm.starts.count)
         counts[count] = counts.get(count, 0) + 1
         judge, targets = Judge(axes), configurations(random)
         poses = np.array([judge.pose(q) for q in targets.values()])
-        found = kernel.run(poses, arm, double=True)
-        for pose, (kind, own), q, margin, complete in zip(poses, targets.items(), *found, strict=True):
-            row, ours = tally[kind], list(q[margin >= 0.0])
+        found = jax.tree.map(np.asarray, jax.vmap(functools.partial(all_postures, robot))(poses))
+        for pose, (kind, own), q, valid, complete in zip(poses, targets.items(), *found[:3], strict=True):
+            row, ours = tally[kind], list(q[valid])
             errors = [judge.error(one, pose) for one in ours]
             worst = max([worst, *(e for e in errors if e < EXACT)])
             theirs = [own, *multistart(axes, pose, judge, random)]
@@ -200,13 +229,13 @@ KINDS = ("random", "next to singular")
 FIRST = """
 import time
 import numpy as np
-from general_arms import random_arm
-from jaxik.homotopy import general_arm, general_kernel
-from jaxik.kinematics.axes import Axes
+import jax
+from general_arms import random_arm, robot_of
+from jaxik.homotopy import all_postures
+jax.config.update("jax_enable_x64", True)
 axes = random_arm(np.random.default_rng(1), 0.0)
 start = time.process_time()
-arm = general_arm(axes)
-general_kernel().run(axes.tip[None], arm, double=True)
+jax.block_until_ready(all_postures(robot_of(axes), axes.tip))
 print(time.process_time() - start)
 """
 
@@ -215,16 +244,19 @@ def speeds() -> dict[str, float]:
     """CPU times of targets by the thousand, of one, and of a process' first call, with nothing on disk and with its kernels."""
     random = np.random.default_rng(3)
     axes = random_arm(random, 0.0)
-    arm, judge, kernel = general_arm(axes), Judge(axes), general_kernel()
+    robot, judge = robot_of(axes), Judge(axes)
+    alone = jax.jit(lambda pose: all_postures(robot, pose))
+    every = jax.jit(jax.vmap(alone))
     poses = np.array([judge.pose(q) for q in random.uniform(-np.pi, np.pi, (4096, 6))])
     many, one = [], []
+    jax.block_until_ready((alone(poses[0]), every(poses)))
     for _ in range(5):
         start = time.process_time()
-        kernel.run(poses, arm, double=True)
+        jax.block_until_ready(every(poses))
         many.append((time.process_time() - start) / len(poses))
     for pose in poses[:300]:
         start = time.process_time()
-        kernel.run(pose[None], arm, double=True)
+        jax.block_until_ready(alone(pose))
         one.append(time.process_time() - start)
     first = {}
     for name, environment in (("first_call_cpu_s", {"JAXIK_CACHE": "off"}), ("second_process_cpu_s", {})):
@@ -234,6 +266,7 @@ def speeds() -> dict[str, float]:
 
 
 if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
     arms = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
     rows = {name: compared(arms // 2, special) for name, special in SPECIAL.items()}
     result = {"machine": machine(), "starts": STARTS, "exact": EXACT, **speeds(), "arms": rows}

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.analytic.half_branches import HalfBranch
-from jaxik.analytic.orienting import Orienting
-from jaxik.analytic.turns import ALL, Signs, Turn, either, turns_to_distance, vector_of
+from jaxik.analytic.spherical_wrist import Orienting
+from jaxik.analytic.turns import ALL, HalfBranch, Signs, Turn, either, turns_to_distance, vector_of
 from jaxik.kinematics.axes import Axes
 from jaxik.kinematics.forward import JointFrames
 from jaxik.spatial.algebra import Frame, Rot3, Scalar, Vec3, constants, safe_sqrt, sincos

@@ -7,6 +7,7 @@ neighbours, and of all families, the one that costs least is taken; among equals
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -15,19 +16,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.analytic.arm_angle import ArmAngle
-from jaxik.analytic.half_branches import Family, HalfBranch
 from jaxik.analytic.spherical_wrist import SphericalWrist
 from jaxik.analytic.three_parallel import ThreeParallel
-from jaxik.analytic.turns import ALL, Signs
+from jaxik.analytic.turns import ALL, Family, HalfBranch, Signs
 from jaxik.checks.options import check_kind
 from jaxik.homotopy.axis_line import MOST_SOLUTIONS
-from jaxik.homotopy.general import general_arm, general_solutions
+from jaxik.homotopy.general import GeneralArm, general_arm, general_solutions
 from jaxik.kinematics.axes import TOLERANCE, Axes, named_from
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.reach_bound import reach_bound
 from jaxik.kinematics.robot import Robot
+from jaxik.pytree import read_only
 from jaxik.spatial.algebra import BASE, Frame, Scalar, stack, traced
 from jaxik.spatial.ball import Ball, ball
+from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.host import host_kernels
 
 PROVEN = 1e-9  # [m, rad] by which axes may miss their family: an arm that misses it by more has postures where it has none
 ROUNDED = 1e-14  # [rad, m] of it that is rounding of exact numbers
@@ -147,7 +150,11 @@ class AnySix:
     joints, parameters, branches, cost = 6, 0, MOST_SOLUTIONS, 1000
 
     def __init__(self, axes: Axes):
-        self.arm = general_arm(axes)
+        self.axes = axes
+
+    @functools.cached_property
+    def arm(self) -> GeneralArm:
+        return general_arm(self.axes)  # takes seconds, which a robot that is only asked what it is given need not spend
 
     def half_branches(self, target: Frame, given: list[Scalar], eps: float, signs: Signs = ALL) -> list[HalfBranch]:
         dtype = jnp.result_type(*target.rotation.entries)
@@ -261,24 +268,56 @@ def _without_family(robot: Robot) -> Solver | None:
     return None
 
 
-class Redundancy(NamedTuple):
-    """What a robot's closed form is given: the joints before and after those that it solves, and the arm angle where it solves
-    seven.
+@dataclasses.dataclass(frozen=True, eq=False)
+class Redundancy:
+    """The values that a robot's closed form is given: of the joints before and after those that it solves, and the arm angle
+    where it solves seven.
 
     One entry each (k,): `names`, a joint's or "arm angle", and its range `lower` to `upper` [m, rad], a whole turn where there
-    are no limits. `family` is the name of what solves the other joints.
+    are no limits. `family` is the name of what solves the other joints. `why` is "" where that is a closed form, else why there
+    is none: six joints of no family are solved all the same, and a robot without such joints has no family and no names.
     """
 
+    robot: Robot = dataclasses.field(repr=False)
     family: str
     names: tuple[str, ...]
     lower: np.ndarray
     upper: np.ndarray
+    why: str = ""
+
+    def of(self, q: Any) -> np.ndarray:
+        """Returns the values (k,), or (N, k), with which the configuration `q` (n,), or each of (N, n), is among the solutions
+        [m, rad]. Host driver.
+
+        Raises `ValueError` for another shape, and with the reason where no six neighbouring joints are revolute.
+        """
+        q, n = np.asarray(q, float), self.robot.num_joints
+        if q.ndim not in (1, 2) or q.shape[-1] != n:
+            raise ValueError(f"redundancy: q {q.shape}; expected ({n},) or (N, {n})")
+        values = in_blocks(_given_values(self.robot), np.atleast_2d(q), double=True)[0]
+        return values[0] if q.ndim == 1 else values
 
 
 def redundancy(robot: Robot) -> Redundancy:
-    """What `closed_form(robot, pose, slide)` takes as `slide`, in this order. Host driver.
+    """Returns what `closed_form(robot, pose, slide)` takes as `slide`, in this order, or why there is no closed form. Host.
 
-    Raises `ValueError` with the reason where the robot has no six neighbouring revolute joints.
+    Raises `ValueError` for what is no robot.
     """
-    solver = any_solver_of(robot)
-    return Redundancy(solver.family.name, solver.given_names, *solver.limits())
+    why = closed_form_obstacle(robot)
+    return _redundancy(robot) if robot.concrete else Redundancy(robot, "", (), np.zeros(0), np.zeros(0), why)
+
+
+@functools.lru_cache(maxsize=64)
+def _redundancy(robot: Robot) -> Redundancy:
+    why = closed_form_obstacle(robot)
+    solver = _without_family(robot) if why else solver_of(robot)
+    if solver is None:
+        return Redundancy(robot, "", (), np.zeros(0), np.zeros(0), why)
+    lower, upper = read_only(solver.limits())
+    return Redundancy(robot, solver.family.name, solver.given_names, lower, upper, why)
+
+
+@host_kernels(1, known=16)
+def _given_values(robot: Robot, q: Any) -> Any:
+    values = any_solver_of(robot).values(q)
+    return stack(values, (len(values),), q.dtype)

@@ -20,11 +20,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.analytic.half_branches import HalfBranch
-from jaxik.analytic.orienting import Oriented, Orienting
+from jaxik.analytic.spherical_wrist import Oriented, Orienting
 from jaxik.analytic.turns import (
     ALL,
     ELLIPSE,
+    HalfBranch,
     Signs,
     Turn,
     chosen,

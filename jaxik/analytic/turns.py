@@ -10,14 +10,14 @@ Scalars are those of `algebra`: numbers fold, arrays are traced, balls bound.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.spatial.algebra import Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, sub
+from jaxik.spatial.algebra import Frame, Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, sub
 from jaxik.spatial.ball import Ball, Perhaps, capped, minimum, unit, where
 
 BOTH = (1.0, -1.0)  # signs of the two roots of an equation
@@ -62,6 +62,54 @@ def vector_of(v: Any, eps: float) -> Vec3:
 def either(first: Any, one: Any, two: Any) -> Any:
     """`one` where `first`, else `two`: trees of scalars."""
     return jax.tree_util.tree_map(lambda a, b: where(first, a, b), one, two, is_leaf=lambda x: isinstance(x, Ball | Perhaps))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Branches: what the families of arms answer
+
+
+class HalfBranch(NamedTuple):
+    """Two branches that share some joints, begun to be finished where they are wanted: often these joints tell that a branch
+    has no posture inside the limits, and the others need not be computed.
+
+    `turns` are those of the shared joints, by number among the solved ones; `margin` tells how far a root is from turning
+    complex (< 0: it has); `finish()` gives both branches, all their angles [rad] and a margin each. A kernel computes of these
+    what it uses.
+    """
+
+    turns: dict[int, Any]
+    margin: Scalar
+    finish: Callable[[], list[tuple[tuple[Scalar, ...], Scalar]]]
+
+    def from_tip(self, joints: int) -> HalfBranch:
+        """The same of the arm itself, where what was solved is the arm as it is seen from its tip."""
+        turns = {joints - 1 - i: turn for i, turn in self.turns.items()}
+        return HalfBranch(turns, self.margin, lambda: [(angles[::-1], margin) for angles, margin in self.finish()])
+
+
+@runtime_checkable
+class Family(Protocol):
+    """A closed form of one kind of arms, made for one of them.
+
+    It solves `joints` neighbours given `parameters` values of its own (the arm angle), in up to `branches` solutions. Of two
+    that fit a robot the one of less `cost` is taken: 0 or 1 for lines that meet circles, `ELLIPSE` with an ellipse.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def joints(self) -> int: ...
+    @property
+    def parameters(self) -> int: ...
+    @property
+    def branches(self) -> int: ...
+    @property
+    def cost(self) -> int: ...
+
+    def half_branches(self, target: Frame, given: list[Scalar], eps: float, signs: Signs = ALL) -> list[HalfBranch]:
+        """Of the last frame (or the tip) at `target`, seen from where the first joint is mounted [m]; numbers within `eps` of 0
+        and of +-1 count as those. With `signs` only the half branches with these signs of their two equations."""
+        ...
 
 
 # --------------------------------------------------------------------------------------------------------------------

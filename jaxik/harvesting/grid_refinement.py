@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.analytic.families import solver_of
-from jaxik.analytic.solutions import closed_forms, given_values
+from jaxik.analytic.families import redundancy, solver_of
+from jaxik.analytic.solutions import closed_forms
 from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import clearance
 from jaxik.collision.scene import Scene
@@ -146,14 +146,14 @@ def _self_motion(jacobians: np.ndarray, slope: np.ndarray, axis: np.ndarray, rob
 def _with_arm_angle(robot: Robot, q: np.ndarray, arm: np.ndarray, moved: np.ndarray) -> np.ndarray:
     """How the seven solved joints follow (b, 7, m), the arm angle held, with the column of the arm angle itself: along the one
     motion that leaves the tip where it is, as fast as differences of the angle tell."""
-    solver = solver_of(robot)
+    solver, given = solver_of(robot), redundancy(robot)
     own = np.linalg.svd(arm)[2][:, -1]
     step = 1e-4
 
     def rate(motion: np.ndarray) -> np.ndarray:
         away = np.zeros(q.shape)
         away[:, list(solver.solved)] = step * motion
-        turned = (given_values(robot, q + away) - given_values(robot, q - away))[:, solver.first]
+        turned = (given.of(q + away) - given.of(q - away))[:, solver.first]
         return ((turned + np.pi) % (2.0 * np.pi) - np.pi) / (2.0 * step)
 
     alone = rate(own)

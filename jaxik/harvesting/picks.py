@@ -15,7 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.analytic.solutions import closed_forms, given_values
+from jaxik.analytic.families import redundancy
+from jaxik.analytic.solutions import closed_forms
 from jaxik.collision.attached import attach
 from jaxik.collision.scene import Mark, Scene
 from jaxik.harvesting.grasp import Grasp, grasp_poses
@@ -144,7 +145,7 @@ def tip_lines(
     away = np.linspace(0.0, length, PIECES + 1)
     along = np.repeat(poses[:, None], len(away), axis=1)
     along[..., :3, 3] += away[:, None] * (poses[:, :3, :3] @ direction)[:, None]
-    leading = np.repeat(given_values(robot, q), len(away), axis=0)
+    leading = np.repeat(redundancy(robot).of(q), len(away), axis=0)
     found, _, fits = in_blocks(closed_forms(robot), along.reshape(-1, 4, 4), leading, double=True)
     found, fits = (x.reshape(len(q), len(away), *x.shape[1:]) for x in (found, fits))
     branch = np.argmin(np.abs(found[:, 0] - q[:, None]).max(axis=-1), axis=1)

@@ -1,11 +1,5 @@
-"""All postures of six joints in general, those that have no closed form, by following paths from known solutions."""
+"""All postures of any six revolute joints, those without a closed form too, by following paths from known solutions."""
 
-from jaxik.homotopy.general import General, GeneralArm, general_arm, general_kernel, general_solutions
+from jaxik.homotopy.general import AllPostures, all_postures
 
-__all__ = [
-    "General",
-    "GeneralArm",
-    "general_arm",
-    "general_kernel",
-    "general_solutions",
-]
+__all__ = ["AllPostures", "all_postures"]

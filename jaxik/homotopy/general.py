@@ -28,9 +28,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from jaxik.checks.arrays import as_shaped
+from jaxik.checks.arrays import Array, as_shaped, check_known
 from jaxik.checks.options import check_kind
 from jaxik.homotopy.axis_line import (
     AXIS,
@@ -83,41 +83,62 @@ class GeneralArm(NamedTuple):
     starts: Starts
 
 
-class General(NamedTuple):
-    """Up to 16 postures `q` [rad] in [-pi, pi], in no particular order; `margin` is >= 0 where `q` has the pose, and below 0
-    where a row holds none. `complete`: as many different solutions arrived, complex ones included, as the arm has."""
+class AllPostures(NamedTuple):
+    """Up to 16 postures `q` [rad] in [-pi, pi], in no particular order, of which the `valid` ones have the pose; each is there
+    once. `complete`: as many different solutions were found, complex ones included, as the robot has, which is `most`."""
 
-    q: Float[jax.Array, "*b 16 6"]
-    margin: Float[jax.Array, "*b 16"]
-    complete: Bool[jax.Array, "*b"]
+    q: Float[jax.Array, "16 6"]
+    valid: Bool[jax.Array, "16"]
+    complete: Bool[jax.Array, ""]
+    most: Int[Array, ""]
+
+
+def all_postures(robot: Robot, pose: Float[Array, "4 4"]) -> AllPostures:
+    """Returns all postures of six revolute joints with `base_T_tip = pose` (4, 4) [m], whatever their axes are. Traced.
+
+    The first call for a robot takes some seconds on the host. The derivative by the pose is that of the implicit function
+    theorem, `dq = J^-1 (dv, dw)`; bounded where J is singular, and 0 where there is no posture. Poses are met to 1e-13 in
+    float64, next to singular postures to 4e-11 (lengths in that of the robot). Where the pose lets a whole curve of postures
+    move, some of these are given. In float32 poses are met to 1e-6, and up to a tenth of the results are not called `complete`
+    though nothing is missing.
+
+    Raises `ValueError` for another shape, a traced robot, another number of joints or other kinds, and for joints that cannot
+    move the tip in all six directions. Source: Raghavan and Roth 1990; Sommese and Wampler 2005.
+    """
+    check_kind("all_postures", "robot", robot, Robot)
+    check_known("all_postures", robot=robot)
+    arm = _arm_of(robot)
+    q, margin, complete = general_solutions(arm, pose)
+    return AllPostures(q, margin >= 0.0, complete, arm.starts.count)
 
 
 # --------------------------------------------------------------------------------------------------------------------
 # Once for an arm
 
 
-def general_arm(arm: Robot | Axes, seed: int = 0) -> GeneralArm:
-    """What `general_solutions` needs of an arm of six revolute joints, a robot or its axes; cached by its numbers. Host.
+@functools.lru_cache(maxsize=64)
+def _arm_of(robot: Robot) -> GeneralArm:
+    """Returns the `general_arm` of a robot. Raises `ValueError` for one that has not six revolute joints alone. Host."""
+    if robot.num_joints != 6 or any(robot.is_prismatic):
+        kinds = f"{robot.num_joints} joints, {sum(robot.is_prismatic)} of them prismatic"
+        raise ValueError(
+            f"all_postures: {robot.name} has {kinds}; six revolute ones are solved, `robot.part(first, first + 6)`"
+        )
+    return general_arm(Axes.of(robot))
 
-    `seed` draws the random lines. Raises `ValueError` for other robots and shapes, and for joints that cannot
-    move the tip in all six directions.
+
+def general_arm(axes: Axes, seed: int = 0) -> GeneralArm:
+    """Returns what `general_solutions` needs of six axes; cached by their numbers. `seed` draws the random lines. Host.
+
+    Raises `ValueError` for other shapes, and for joints that cannot move the tip in all six directions.
     """
-    if not isinstance(arm, Axes):
-        check_kind("general_arm", "arm", arm, Robot)
-    if isinstance(arm, Robot):
-        if arm.num_joints != 6 or any(arm.is_prismatic):
-            kinds = f"{arm.num_joints} joints, {sum(arm.is_prismatic)} of them prismatic"
-            raise ValueError(
-                f"general_arm: {arm.name} has {kinds}; six revolute ones are solved, `robot.part(first, first + 6)`"
-            )
-        arm = Axes.of(arm)
-    given = [np.asarray(x, np.float64) for x in arm]
+    given = [np.asarray(x, np.float64) for x in axes]
     for name, x, shape in zip(Axes._fields, given, ((6, 3), (6, 3), (4, 4)), strict=True):
         if x.shape != shape or not np.all(np.isfinite(x)):
-            raise ValueError(f"general_arm: {name} of shape {x.shape}; allowed: {shape}, finite numbers")
+            raise ValueError(f"all_postures: {name} of shape {x.shape}; allowed: {shape}, finite numbers")
     lengths = np.linalg.norm(given[0], axis=1)
     if not np.all(lengths > 0.0):
-        raise ValueError(f"general_arm: h of axis {1 + int(np.argmin(lengths))} is 0 0 0; write a direction")
+        raise ValueError(f"all_postures: h of axis {1 + int(np.argmin(lengths))} is 0 0 0; write a direction")
     return _general_arm(*(x.tobytes() for x in given), seed)
 
 
@@ -127,7 +148,7 @@ def _general_arm(h: bytes, p: bytes, tip: bytes, seed: int) -> GeneralArm:
     random = np.random.default_rng(seed)
     first = _random_angles(random, 1, 0.5)
     if _freedom(arm, first[0]) < 1e-9:
-        raise ValueError("general_arm: these six joints cannot move the tip in all six directions, wherever they stand")
+        raise ValueError("all_postures: these six joints cannot move the tip in all six directions, wherever they stand")
     line = _lines(arm, first)
     known = _all_solutions(arm, line, first, random)
     own = _random_angles(random, LINES, 0.15)
@@ -296,22 +317,17 @@ def _attempts(given: GeneralArm, aim: tuple[Vec3, Vec3], dtype: Any) -> Ends:
 # Solutions
 
 
-def general_solutions(arm: GeneralArm, target: Float[jax.Array, "4 4"]) -> General:
-    """All postures of an arm with its tip at `target` (4, 4) [m], `base_T_tip` of the six joints. Traced.
+def general_solutions(arm: GeneralArm, target: Float[Array, "4 4"]) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Returns the postures (16, 6) [rad], their margins (16,), which are >= 0 where a posture has its tip at `target` (4, 4)
+    [m] and below 0 where a row holds none, and whether none is missing. Traced.
 
-    Their derivative by the target is that of the implicit function theorem, `dq = J^-1 (dv, dw)`; bounded where J is singular,
-    and 0 where there is no posture. Accuracy as the round trip has it: 1e-13 in float64 but for postures next to singular ones,
-    4e-11 there (lengths in that of the arm). Where the target lets a whole curve of postures move, some of these are given.
-    In float32 poses are right to 1e-6, and up to a tenth of the targets are not called `complete` though nothing is missing.
-
-    Raises `ValueError` for another shape, or an `arm` that `general_arm` did not make.
+    Raises `ValueError` for another shape.
     """
-    check_kind("general_solutions", "arm", arm, GeneralArm)
-    target = as_shaped("target", target, (4, 4))
+    target = as_shaped("all_postures: pose", target, (4, 4))
     dtype = jnp.result_type(target, jnp.float32)
     arm = jax.tree.map(lambda x: jnp.asarray(x, dtype if jnp.issubdtype(x.dtype, jnp.floating) else x.dtype), arm)
     q, margin, complete = _solved(arm, target.astype(dtype))
-    return General(q, margin, complete > 0.0)
+    return q, margin, complete > 0.0
 
 
 @functools.cache

@@ -16,8 +16,8 @@ import itertools
 
 import numpy as np
 
-from jaxik.analytic.families import AnySix, any_solver_of, scannable, solver_of
-from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, first_branches, given_values
+from jaxik.analytic.families import AnySix, any_solver_of, redundancy, scannable, solver_of
+from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, first_branches
 from jaxik.homotopy.general import GeneralArm, general_kernel
 from jaxik.ik import seeds
 from jaxik.ik.choosing import scores
@@ -196,7 +196,7 @@ def _followed(problem: Problem, poses: np.ndarray, found: Found) -> Found:
     share = seeds.low_discrepancy(seeds.Range((-1.0,) * len(low), (1.0,) * len(low)), problem.seed, 0, ZOOMED)
     width = (high - low) / problem.options.max_seeds ** (1.0 / len(low))
     for zoom in range(ZOOMS):
-        given = given_values(problem.robot, found.q)
+        given = redundancy(problem.robot).of(found.q)
         near = np.clip(given[:, None] + width * NARROWER**zoom * share, low, high).reshape(-1, len(low))
         row = np.repeat(rows, ZOOMED)
         again = found.rows(row)

@@ -18,7 +18,7 @@ import numpy as np
 from jax import lax
 
 from jaxik.analytic.families import solver_of
-from jaxik.analytic.half_branches import HalfBranch
+from jaxik.analytic.turns import HalfBranch
 from jaxik.checks.options import as_count_or_values
 from jaxik.kinematics.joint_turns import TURN
 from jaxik.kinematics.robot import Robot

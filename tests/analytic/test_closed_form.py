@@ -133,17 +133,17 @@ def test_what_is_given_in_another_shape_is_refused_by_its_names(name, given):
 def test_one_configuration_is_given_its_values():
     robot = jaxik.load("panda")
     q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (3, 7))
-    every = jaxik.analytic.given_values(robot, q)
-    assert every.shape == (3, 1) and jaxik.analytic.given_values(robot, q[1]) == every[1]
+    every = jaxik.analytic.redundancy(robot).of(q)
+    assert every.shape == (3, 1) and jaxik.analytic.redundancy(robot).of(q[1]) == every[1]
     for wrong in (q[0, 0], q[:, :6], q[None]):
         with pytest.raises(ValueError, match=r"expected \(7,\) or \(N, 7\)"):
-            jaxik.analytic.given_values(robot, wrong)
+            jaxik.analytic.redundancy(robot).of(wrong)
 
 
 def test_traced_numbers_are_refused():
     robot = jaxik.load("p6r")
     traced = dataclasses.replace(robot, parent_T_joint=jnp.asarray(robot.parent_T_joint))
-    assert "traced" in jaxik.analytic.closed_form_obstacle(traced)
+    assert "traced" in jaxik.analytic.redundancy(traced).why
 
 
 def test_six_joints_that_cannot_reach_every_pose_are_not_solved():
@@ -152,7 +152,7 @@ def test_six_joints_that_cannot_reach_every_pose_are_not_solved():
     h, p = rng.normal(size=(6, 3)), rng.normal(size=(6, 3))
     h[1:4] = h[0]
     robot = assembled(rng, h, p, "planar")
-    assert "cannot move the tip in all six directions" in jaxik.analytic.closed_form_obstacle(robot)
+    assert "cannot move the tip in all six directions" in jaxik.analytic.redundancy(robot).why
     q = rng.uniform(-1.0, 1.0, 6)
     assert np.linalg.matrix_rank(jaxik.jacobian(robot, q), tol=1e-9) == 5
 

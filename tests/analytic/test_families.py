@@ -10,7 +10,7 @@ from robots import FOLDER, ROBOTS
 
 import jaxik
 from jaxik.analytic.families import scannable, solver_of
-from jaxik.analytic.solutions import closed_forms, given_values
+from jaxik.analytic.solutions import closed_forms
 from jaxik.kinematics.forward import joint_frames
 from jaxik.spmd.batch import in_blocks
 
@@ -49,7 +49,7 @@ def has_the_branches_of_eaik(robot, poses, q, valid):
 def test_random_arms(family):
     robot = random_arm(1, family, slide=family in ("wrist, any", "arm angle", "2 to 4 parallel, any"))
     q = np.random.default_rng(2).uniform(-np.pi, np.pi, (2000, robot.num_joints))
-    poses, given = poses_of(robot, q), given_values(robot, q)
+    poses, given = poses_of(robot, q), jaxik.analytic.redundancy(robot).of(q)
     found, valid, error = solved(robot, poses, given)
     assert valid.any(axis=1).all() and error.max() <= EXACT
     nearest = np.where(valid, apart(found, q[:, None]), np.inf).min(axis=1)
@@ -79,7 +79,7 @@ def test_real_arms(name, given):
     q[::10, 3:] = np.round(q[::10, 3:])  # where single angles are singular
     q[::20, -2] = 0.0
     poses = poses_of(robot, q)
-    _, valid, error = solved(robot, poses, given_values(robot, q))
+    _, valid, error = solved(robot, poses, jaxik.analytic.redundancy(robot).of(q))
     assert valid.any(axis=1).all() and error.max() <= EXACT
 
 
@@ -90,7 +90,7 @@ def test_an_arm_that_is_nearly_of_a_family():
     assert jaxik.analytic.redundancy(robot).names == ("joint7",) and solver_of(robot).misfit > 1e-7
     q = np.random.default_rng(3).uniform(-2.0, 2.0, (500, 7))
     poses = poses_of(robot, q)
-    found, valid, error = solved(robot, poses, given_values(robot, q))
+    found, valid, error = solved(robot, poses, jaxik.analytic.redundancy(robot).of(q))
     assert valid.any(axis=1).all() and error.max() <= EXACT
     assert np.mean(np.where(valid, apart(found, q[:, None]), np.inf).min(axis=1) <= 1e-6) >= 0.99
 
@@ -98,11 +98,11 @@ def test_an_arm_that_is_nearly_of_a_family():
 def test_joints_of_no_family_have_all_their_postures_too():
     """Jaco's kin, by paths of complex solutions, with the first joint given."""
     robot = random_arm(4, "no family")
-    assert "rad from parallel" in jaxik.analytic.closed_form_obstacle(robot) and not scannable(robot)
+    assert "rad from parallel" in jaxik.analytic.redundancy(robot).why and not scannable(robot)
     assert jaxik.analytic.redundancy(robot).names == ("j0",)
     q = np.random.default_rng(3).uniform(-2.0, 2.0, (20, 7))
     poses = poses_of(robot, q)
-    found, valid, error = solved(robot, poses, given_values(robot, q))
+    found, valid, error = solved(robot, poses, jaxik.analytic.redundancy(robot).of(q))
     assert found.shape == (20, 16, 7) and error.max() <= EXACT
     assert np.where(valid, apart(found, q[:, None]), np.inf).min(axis=1).max() <= 1e-8
 
@@ -119,8 +119,8 @@ def test_an_ellipse_that_is_a_circle():
 
 def test_what_has_no_family_says_why():
     robot = random_arm(0, "wrist, any").part(0, 5)
-    assert "5 joints" in jaxik.analytic.closed_form_obstacle(robot)
-    assert jaxik.analytic.closed_form_obstacle(random_arm(0, "arm angle").part(1, 7)) == ""  # a spherical wrist
+    assert "5 joints" in jaxik.analytic.redundancy(robot).why
+    assert jaxik.analytic.redundancy(random_arm(0, "arm angle").part(1, 7)).why == ""  # a spherical wrist
 
 
 def test_what_is_missing_is_said_of_the_joints_as_the_robot_counts_them():
@@ -129,7 +129,7 @@ def test_what_is_missing_is_said_of_the_joints_as_the_robot_counts_them():
     bent = np.array(robot.parent_T_joint)
     cos, sin = np.cos(0.01), np.sin(0.01)
     bent[3] = bent[3] @ frame(np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]]), np.zeros(3))
-    said = jaxik.analytic.closed_form_obstacle(dataclasses.replace(robot, parent_T_joint=bent))
+    said = jaxik.analytic.redundancy(dataclasses.replace(robot, parent_T_joint=bent)).why
     assert "axes 3 to 5 are 0.01 rad from parallel" in said and "axes 2 to 4 are 1.6 rad from parallel" in said
     assert "axes 2 to 4 miss a point" in said and "axes 5 to 7 miss a point" in said and "joint 'rail' is prismatic" in said
     assert jaxik.analytic.redundancy(jaxik.load("panda")).family == "spherical shoulder"

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxik import analytic
-from jaxik.analytic import turns
+from jaxik.analytic import subproblems, turns
 from jaxik.spatial.algebra import Vec3
 from jaxik.spatial.ball import Ball
 
@@ -63,7 +62,7 @@ def problem(number, rng):
 def test_solutions(number):
     """The turns that the problem was made with are among them, and all that are called exact are."""
     arguments, made, left = problem(number, np.random.default_rng(number))
-    found = jax.jit(jax.vmap(getattr(analytic, f"subproblem_{number}")))(*arguments)
+    found = jax.jit(jax.vmap(getattr(subproblems, f"subproblem_{number}")))(*arguments)
     angles, exact = np.asarray(found.angles), np.asarray(found.exact)
     away = np.abs((angles - np.stack(made, axis=-1)[:, None] + np.pi) % (2 * np.pi) - np.pi).max(axis=-1)
     assert np.where(exact, away, np.inf).min(axis=1).max() <= 1e-6
@@ -77,16 +76,16 @@ def impossible(number, rng):
     p, q, k, k2 = unit(rng.normal(size=(4, 3)))
     grid = np.linspace(-np.pi, np.pi, 721)
     if number == 1:
-        return analytic.subproblem_1(p, q, k), lambda a: np.linalg.norm(turned(k, a, p) - q, axis=-1)
+        return subproblems.subproblem_1(p, q, k), lambda a: np.linalg.norm(turned(k, a, p) - q, axis=-1)
     if number == 2:  # two narrow cones, apart
         k2 = unit(k2 - k * (k @ k2))
         p, q = unit(k + 0.1 * p), unit(k2 + 0.1 * q)
         others = turned(k2, grid, q)
         away = lambda a: np.linalg.norm(turned(k, a, p)[:, None] - others, axis=-1).min(axis=-1)
-        return analytic.subproblem_2(p, q, k, k2), away
+        return subproblems.subproblem_2(p, q, k, k2), away
     if number == 3:
-        return analytic.subproblem_3(p, q, k, 3.0), lambda a: np.abs(np.linalg.norm(turned(k, a, p) - q, axis=-1) - 3.0)
-    return analytic.subproblem_4(q, p, k, 2.0), lambda a: np.abs(turned(k, a, p) @ q - 2.0)
+        return subproblems.subproblem_3(p, q, k, 3.0), lambda a: np.abs(np.linalg.norm(turned(k, a, p) - q, axis=-1) - 3.0)
+    return subproblems.subproblem_4(q, p, k, 2.0), lambda a: np.abs(turned(k, a, p) @ q - 2.0)
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 4])
@@ -103,32 +102,34 @@ def test_slopes():
     """Against central differences; finite at a double root, where there is none."""
     arguments, _, _ = problem(6, np.random.default_rng(0))
     h, p, k, d = (x[:20] for x in arguments)
-    solve = jax.jit(jax.vmap(lambda h, p, k, d: analytic.subproblem_6(h, p, k, d).angles))
-    slope = np.asarray(jax.jit(jax.vmap(jax.jacfwd(lambda d, h, p, k: analytic.subproblem_6(h, p, k, d).angles)))(d, h, p, k))
-    exact = np.asarray(jax.vmap(analytic.subproblem_6)(h, p, k, d).exact)
+    solve = jax.jit(jax.vmap(lambda h, p, k, d: subproblems.subproblem_6(h, p, k, d).angles))
+    slope = np.asarray(
+        jax.jit(jax.vmap(jax.jacfwd(lambda d, h, p, k: subproblems.subproblem_6(h, p, k, d).angles)))(d, h, p, k)
+    )
+    exact = np.asarray(jax.vmap(subproblems.subproblem_6)(h, p, k, d).exact)
     for j in range(2):
         step = 1e-6 * np.eye(2)[j]
         numeric = np.asarray(solve(h, p, k, d + step) - solve(h, p, k, d - step)) / 2e-6
         close = np.abs(numeric - slope[..., j])[exact] <= 1e-5 * (1.0 + np.abs(numeric[exact]) ** 3)
         assert close.mean() > 0.97  # but where a root is about to vanish
     x, z = jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 1.0])
-    edge = jax.jacfwd(lambda d: analytic.subproblem_4(x, x, z, d).angles)(1.0)
+    edge = jax.jacfwd(lambda d: subproblems.subproblem_4(x, x, z, d).angles)(1.0)
     assert np.all(np.isfinite(edge))
-    assert np.all(np.isfinite(jax.jacfwd(lambda d: analytic.subproblem_3(x, x, z, d).angles)(0.0)))
-    assert np.all(np.isfinite(jax.jacfwd(lambda p: analytic.subproblem_1(p, p, z).angles)(z)))
+    assert np.all(np.isfinite(jax.jacfwd(lambda d: subproblems.subproblem_3(x, x, z, d).angles)(0.0)))
+    assert np.all(np.isfinite(jax.jacfwd(lambda p: subproblems.subproblem_1(p, p, z).angles)(z)))
 
 
 def test_parallel_vectors_and_shapes():
     z = np.array([0.0, 0.0, 1.0])
-    assert np.asarray(analytic.subproblem_1(z, z, z).angles) == 0.0
+    assert np.asarray(subproblems.subproblem_1(z, z, z).angles) == 0.0
     e, four = np.eye(3), np.ones((2, 2, 3))
     for refused, words in (
-        (lambda: analytic.subproblem_1(e, z, z), "p has the shape (3, 3); allowed: (3,)"),
-        (lambda: analytic.subproblem_4(z, z, z, [1.0]), "d has the shape (1,); allowed: one number"),
-        (lambda: analytic.subproblem_5(e, e), "p has the shape (3, 3); allowed: (4, 3)"),
-        (lambda: analytic.subproblem_6(e, four, e[:2], [0.0, 0.0]), "h has the shape (3, 3); allowed: (2, 2, 3)"),
-        (lambda: analytic.subproblem_6(four, four, e, [0.0, 0.0]), "k has the shape (3, 3); allowed: (2, 3)"),
-        (lambda: analytic.subproblem_6(four, four, e[:2], 1.0), "d has the shape (); allowed: (2,)"),
+        (lambda: subproblems.subproblem_1(e, z, z), "p has the shape (3, 3); allowed: (3,)"),
+        (lambda: subproblems.subproblem_4(z, z, z, [1.0]), "d has the shape (1,); allowed: one number"),
+        (lambda: subproblems.subproblem_5(e, e), "p has the shape (3, 3); allowed: (4, 3)"),
+        (lambda: subproblems.subproblem_6(e, four, e[:2], [0.0, 0.0]), "h has the shape (3, 3); allowed: (2, 2, 3)"),
+        (lambda: subproblems.subproblem_6(four, four, e, [0.0, 0.0]), "k has the shape (3, 3); allowed: (2, 3)"),
+        (lambda: subproblems.subproblem_6(four, four, e[:2], 1.0), "d has the shape (); allowed: (2,)"),
     ):
         with pytest.raises(ValueError, match=re.escape(words)):
             refused()

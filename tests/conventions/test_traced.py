@@ -24,17 +24,11 @@ POSE = jnp.asarray(jaxik.pose([0.3, 0.2, 0.4]))
 SCENE = jaxik.make_scene(spheres=[[0.5, 0.1, 0.4, 0.1]], boxes=[[0.5, 0.5, 0.5, 0.1, 0.1, 0.1]])
 MOTION = motions.TipMotion(POSE, jnp.zeros(6), jnp.zeros(6))
 TOUCH = dynamics.PointForce(3, jnp.array([0.1, 0.0, 0.2]), jnp.array([1.0, 2.0, 3.0]))
-V, P2 = jnp.array([0.1, 0.2, 0.3]), jnp.ones((2, 2, 3))
+V = jnp.array([0.1, 0.2, 0.3])
 HOLD = lambda q: jnp.sum(q * q)
 
 CALLS = {  # name -> (function of arrays, arrays)
     "analytic.closed_form": (lambda pose: analytic.closed_form(UR, pose), POSE),
-    "analytic.subproblem_1": (analytic.subproblem_1, V, V[::-1], V),
-    "analytic.subproblem_2": (analytic.subproblem_2, V, V[::-1], V, -V),
-    "analytic.subproblem_3": (analytic.subproblem_3, V, V[::-1], V, V[0]),
-    "analytic.subproblem_4": (analytic.subproblem_4, V, V[::-1], V, V[0]),
-    "analytic.subproblem_5": (analytic.subproblem_5, jnp.ones((4, 3)), jnp.ones((3, 3))),
-    "analytic.subproblem_6": (analytic.subproblem_6, P2, P2, P2[0], V[:2]),
     "collision.clearance": (lambda q: collision.clearance(ARM, SCENE, q), Q),
     "collision.collides": (lambda q: collision.collides(ARM, SCENE, q), Q),
     "collision.robot_spheres": (lambda q: collision.robot_spheres(ARM, q), Q),
@@ -80,7 +74,7 @@ METHODS = {
 }
 # what is no function of a moment: descents, searches, equations of optimality, simulations; and what makes a cost or a robot
 LONGER = {
-    "homotopy.general_solutions",
+    "homotopy.all_postures",
     "touch.contact_cost",
     "estimation.over_log",
     "touch.simulate_reaction",

@@ -6,13 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from general_arms import Judge, apart, multistart, random_arm
+from general_arms import Judge, apart, multistart, random_arm, robot_of
 from random_arms import assembled, exact_branches_of_eaik
 from robots import FOLDER, ROBOTS
 
 import jaxik
 from jaxik.costs import joint_limit_margin
-from jaxik.homotopy import general_arm, general_kernel, general_solutions
+from jaxik.homotopy import all_postures
+from jaxik.homotopy.general import general_arm, general_kernel
 from jaxik.kinematics.axes import Axes
 
 EXACT = 1e-10  # [m, rad] of a round trip
@@ -29,11 +30,15 @@ def _arms():
     return [random_arm(np.random.default_rng(1), 0.0), random_arm(np.random.default_rng(2), 0.3), _axes("kinova")[1]]
 
 
+def _each(robot):
+    return jax.jit(jax.vmap(lambda pose: all_postures(robot, pose)))
+
+
 def _solved(axes, q):
-    """The arm, its judge, the targets of q (m, 6), and what is found of them."""
-    arm, judge = general_arm(axes), Judge(axes)
+    """The robot, its judge, the targets of q (m, 6), and what is found of them."""
+    robot, judge = robot_of(axes), Judge(axes)
     poses = np.array([judge.pose(x) for x in q])
-    return arm, judge, poses, general_kernel().run(poses, arm, double=True)
+    return robot, judge, poses, jax.tree.map(np.asarray, _each(robot)(poses))
 
 
 def _angles(seed, count):
@@ -44,10 +49,10 @@ def _angles(seed, count):
 def test_every_posture(axes):
     """That many starts find is found, and what is found has the pose and is there once."""
     random, own = np.random.default_rng(0), _angles(5, 40)
-    _, judge, poses, (q, margin, complete) = _solved(axes, own)
+    _, judge, poses, (q, valid, complete, _) = _solved(axes, own)
     assert complete.all() and np.abs(q).max() <= np.pi + 1e-12
     for i, (target, known) in enumerate(zip(poses, own, strict=True)):
-        found = q[i][margin[i] >= 0.0]
+        found = q[i][valid[i]]
         assert max(judge.error(x, target) for x in found) < EXACT
         assert min(apart(a, b) for a, b in itertools.combinations([*found, found[0] + 1.0], 2)) > 1e-6
         theirs = multistart(axes, target, judge, random) if i < 3 else []
@@ -56,14 +61,14 @@ def test_every_posture(axes):
 
 def test_as_many_as_the_arm_has():
     """Raghavan and Roth's 16, and 8 where EAIK has 8."""
-    counts = [int(general_arm(axes).starts.count) for axes in (_arms()[0], _axes("ur5")[1])]
+    counts = [int(all_postures(robot_of(axes), axes.tip).most) for axes in (_arms()[0], _axes("ur5")[1])]
     assert counts == [16, 8]
 
 
 def test_eaik():
     robot, axes = _axes("ur5")
-    _, _, poses, (q, margin, _) = _solved(axes, _angles(3, 40))
-    for theirs, all_rows, there in zip(exact_branches_of_eaik(robot, poses), q, margin >= 0.0, strict=True):
+    _, _, poses, (q, valid, *_) = _solved(axes, _angles(3, 40))
+    for theirs, all_rows, there in zip(exact_branches_of_eaik(robot, poses), q, valid, strict=True):
         found = all_rows[there]
         assert len(found) == len(theirs)
         assert all(min(apart(x, y) for y in found) < 1e-6 for x in theirs)
@@ -74,45 +79,45 @@ def test_singular(name):
     """At right angles wrists are straight and elbows stretched: a posture is found all the same, and all found are true."""
     q = np.round(_angles(4, 60) / (np.pi / 2)) * np.pi / 2
     q[::2] += np.random.default_rng(1).normal(size=(30, 6)) * 10.0 ** np.random.default_rng(2).uniform(-7, -3, (30, 1))
-    _, judge, poses, (found, margin, _) = _solved(_axes(name)[1], q)
-    assert np.isfinite(found).all() and (margin >= 0.0).any(axis=1).all()
-    errors = [judge.error(x, target) for target, row, m in zip(poses, found, margin, strict=True) for x in row[m >= 0.0]]
+    _, judge, poses, (found, valid, *_) = _solved(_axes(name)[1], q)
+    assert np.isfinite(found).all() and valid.any(axis=1).all()
+    errors = [judge.error(x, target) for target, row, there in zip(poses, found, valid, strict=True) for x in row[there]]
     assert max(errors) < EXACT
 
 
 def test_out_of_reach():
-    arm, _, poses, _ = _solved(_arms()[0], _angles(0, 4))
+    robot, _, poses, _ = _solved(_arms()[0], _angles(0, 4))
     poses[:, :3, 3] += 100.0
-    q, margin, _ = general_kernel().run(poses, arm, double=True)
-    assert np.isfinite(q).all() and (margin < 0.0).all()
+    found = _each(robot)(poses)
+    assert np.isfinite(found.q).all() and not np.any(found.valid)
 
 
 def test_traced():
     """jit and vmap give the bits of the host's kernel; the derivative by the target is the inverse of Pinocchio's Jacobian."""
-    arm, judge, poses, (q, margin, complete) = _solved(_arms()[0], _angles(6, 3))
-    found = jax.jit(jax.vmap(lambda target: general_solutions(arm, target)))(poses)
-    assert all((np.asarray(a) == b).all() for a, b in zip(found, (q, margin, complete), strict=True))
+    robot, judge, poses, (q, valid, complete, _) = _solved(_arms()[0], _angles(6, 3))
+    host, margin, whole = general_kernel().run(poses, general_arm(Axes.of(robot)), double=True)
+    assert all((a == b).all() for a, b in ((q, host), (valid, margin >= 0.0), (complete, whole)))
 
     target, twist = poses[0], np.array([0.3, -0.2, 0.5, 0.7, 0.1, -0.4])  # in the tip's frame
     spin = np.cross(np.eye(3), twist[3:]) * -1.0
     change = np.zeros((4, 4))
     change[:3, :3], change[:3, 3] = target[:3, :3] @ spin.T, target[:3, :3] @ twist[:3]
-    _, rates = jax.jvp(lambda t: general_solutions(arm, t).q, (jnp.asarray(target),), (jnp.asarray(change),))
-    for x, rate, m in zip(q[0], np.asarray(rates), margin[0], strict=True):
-        np.testing.assert_allclose(judge.jacobian(x) @ rate if m >= 0.0 else rate, twist if m >= 0.0 else 0.0, atol=1e-9)
-    pulled = jax.grad(lambda t: jnp.sum(general_solutions(arm, t).q @ jnp.arange(6.0)))(jnp.asarray(target))
+    _, rates = jax.jvp(lambda t: all_postures(robot, t).q, (jnp.asarray(target),), (jnp.asarray(change),))
+    for x, rate, there in zip(q[0], np.asarray(rates), valid[0], strict=True):
+        np.testing.assert_allclose(judge.jacobian(x) @ rate if there else rate, twist if there else 0.0, atol=1e-9)
+    pulled = jax.grad(lambda t: jnp.sum(all_postures(robot, t).q @ jnp.arange(6.0)))(jnp.asarray(target))
     np.testing.assert_allclose(np.sum(np.asarray(pulled) * change), np.sum(np.asarray(rates) @ np.arange(6.0)), rtol=1e-9)
 
 
 def test_derivative_at_a_singular_target():
-    axes = _axes("ur5")[1]
-    arm, target = general_arm(axes), Judge(axes).pose(np.zeros(6))
-    pulled = jax.grad(lambda t: jnp.sum(general_solutions(arm, t).q))(jnp.asarray(target))
+    robot = _axes("ur5")[0]
+    target = jaxik.forward_kinematics(robot, np.zeros(6))
+    pulled = jax.grad(lambda t: jnp.sum(all_postures(robot, t).q))(jnp.asarray(target))
     assert np.isfinite(pulled).all()
 
 
 def test_refused(untyped):
-    axes = _arms()[0]
+    axes = Axes(*_arms()[0])
     with pytest.raises(ValueError, match=r"p of shape \(5, 3\); allowed: \(6, 3\)"):
         general_arm(axes._replace(p=axes.p[:5]))
     with pytest.raises(ValueError, match="axis 2 is 0 0 0"):
@@ -120,9 +125,11 @@ def test_refused(untyped):
     with pytest.raises(ValueError, match="cannot move the tip in all six directions"):
         general_arm(axes._replace(h=np.broadcast_to([0.0, 0.0, 1.0], (6, 3))))
     with pytest.raises(ValueError, match="p6r has 7 joints, 1 of them prismatic; six revolute ones are solved"):
-        general_arm(jaxik.load("p6r"))
-    with pytest.raises(ValueError, match=r"target has the shape \(3, 3\); allowed: \(4, 4\)"):
-        general_solutions(general_arm(axes), np.eye(3))
+        all_postures(jaxik.load("p6r"), np.eye(4))
+    with pytest.raises(ValueError, match=r"pose has the shape \(3, 3\); allowed: \(4, 4\)"):
+        all_postures(robot_of(axes), np.eye(3))
+    with pytest.raises(ValueError, match="robot is traced"):
+        jax.jit(all_postures)(robot_of(axes), np.eye(4))
 
 
 def test_inverse_kinematics_has_all_answers():

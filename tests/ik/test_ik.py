@@ -142,7 +142,7 @@ def test_behind_limits():
 def test_six_joints_with_a_closed_form_are_decided():
     p6r = robot_of("p6r")
     arm = p6r.part(1, 7)
-    assert not jaxik.analytic.closed_form_obstacle(arm)
+    assert not jaxik.analytic.redundancy(arm).why
     pose = reachable(arm, 1, seed=1)[0]
     pose[:3, 3] *= 0.05 / np.linalg.norm(pose[:3, 3])  # inside its own shoulder
     assert jaxik.solve_ik(arm, pose).reason in (Reason.OUT_OF_REACH, Reason.LIMITS)

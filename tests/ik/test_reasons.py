@@ -33,7 +33,7 @@ def poses_at_the_wrist(robot, count):
 @pytest.mark.parametrize(("name", "angle"), [("ur3", 2e-6), ("irb120", 1e-7)])
 def test_an_arm_that_is_nearly_of_a_family_has_no_false_proof(name, angle):
     robot = turned(jaxik.load(name), angle)
-    assert not jaxik.analytic.closed_form_obstacle(robot)
+    assert not jaxik.analytic.redundancy(robot).why
     targets = poses_at_the_wrist(robot, 300)
     result = jaxik.solve_ik(robot, targets, collision=False)
     assert result.counts() == {"solved": 300}

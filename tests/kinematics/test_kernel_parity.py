@@ -16,6 +16,7 @@ from jax.extend.core import jaxpr_as_fun
 from papers.harvest_costs import harvest_orientation_cost, position_cost
 
 import jaxik
+from jaxik.analytic import subproblems
 from jaxik.analytic.solutions import closed_branches, closed_forms
 from jaxik.collision import clearances as collision
 from jaxik.kinematics import forward
@@ -80,7 +81,7 @@ MIXED = MIX[:, :1].reshape(2, 2, 3)
 def _turns(number, *given):
     """Those that solve a subproblem: of the others there is no slope."""
     dtype = jnp.result_type(*(x for x in given if isinstance(x, jax.Array)))
-    found = getattr(jaxik.analytic, f"subproblem_{number}")(*(jnp.asarray(x, dtype) for x in given))
+    found = getattr(subproblems, f"subproblem_{number}")(*(jnp.asarray(x, dtype) for x in given))
     return jnp.where(found.exact[:, None], found.angles, 0.0)
 
 
