@@ -155,7 +155,7 @@ def follow_gradient(q: np.ndarray, ways: jaxik.motions.Line) -> np.ndarray:
 
     def one(q: Any, way: Any) -> Any:
         def step(q: Any, t: Any) -> Any:
-            rate = jaxik.motions.asc(ARM, q, way.at(t, 4.0), configuration_cost, task=HORIZON.task, gain=1.0).rate
+            rate = jaxik.motions.resolve(ARM, q, way.at(t, 4.0), cost=configuration_cost, task=HORIZON.task, gain=1.0).rate
             return q + DT * rate, configuration_cost(q) + jnp.sum(rate**2)
 
         return DT * jnp.sum(jax.lax.scan(step, q, DT * jnp.arange(float(COUNT)))[1])

@@ -22,7 +22,7 @@ import numpy as np
 from jax import lax
 
 from jaxik import Reason, Robot
-from jaxik.motions import Horizon, resolve_velocity
+from jaxik.motions import Horizon, resolve
 
 NEWTON = 20  # steps to the input, at most
 STATIONARY = 1e-9  # share of dH/dw and H without an input that may be left of dH/dw
@@ -135,7 +135,7 @@ class _System:
         if gain is None:
             gain = 1.0 / self.horizon.dt if self.horizon.gain is None else self.horizon.gain
         how = {"task": self.horizon.task, "gain": gain, "weights": self.horizon.weights, "floor": self.horizon.floor}
-        return resolve_velocity(self.robot, q, world[0].at(t, world[1]), u, **how)
+        return resolve(self.robot, q, world[0].at(t, world[1]), u=u, **how)
 
     def running(self, world: Any, t: Any, y: Any, w: Any) -> tuple[Any, Any]:
         """qdot, and the cost per second."""

@@ -2,30 +2,26 @@
 
 from jaxik.motions.following import FollowOptions, follow
 from jaxik.motions.moving_horizon import MovingHorizon, follow_predictively
-from jaxik.motions.nullspace import asc, rac, resolve_acceleration, resolve_velocity, rmrc
+from jaxik.motions.nullspace import Box, Resolved, resolve
 from jaxik.motions.path import Arc, Curve, Line, Path, TipMotion
 from jaxik.motions.predictive import Horizon, energy_cost, multistart, predict, quadratic_cost
-from jaxik.motions.rate_limits import RateLimits
 
 __all__ = [
     "Arc",
+    "Box",
     "Curve",
     "FollowOptions",
     "Horizon",
     "Line",
     "MovingHorizon",
     "Path",
-    "RateLimits",
+    "Resolved",
     "TipMotion",
-    "asc",
     "energy_cost",
     "follow",
     "follow_predictively",
     "multistart",
     "predict",
     "quadratic_cost",
-    "rac",
-    "resolve_acceleration",
-    "resolve_velocity",
-    "rmrc",
+    "resolve",
 ]

@@ -24,9 +24,8 @@ from jaxik.costs import Cost
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
 from jaxik.motions.diagnosis import Course, diagnose
-from jaxik.motions.nullspace import FLOOR, Box, Resolved, asc, loop_gain, rac, settles
+from jaxik.motions.nullspace import FLOOR, Box, RateLimits, Resolved, loop_gain, resolve, settles
 from jaxik.motions.path import Path, TipMotion, check_path
-from jaxik.motions.rate_limits import RateLimits
 from jaxik.optimise import ocp
 from jaxik.reasons import Reason, Reasoned
 from jaxik.spmd import kernel
@@ -160,21 +159,21 @@ def _moved(
 ) -> tuple[Any, Resolved, Any]:
     """The state a sample later; how it was resolved at its start; and whether a limit held a joint back."""
     dt = how.dt
-    options: dict[str, Any] = {"task": how.task, "weights": how.weights, "floor": how.floor}
+    options: dict[str, Any] = {"task": how.task, "weights": how.weights, "floor": how.floor, "alpha": how.alpha}
     low, high = limits.rates(q, qdot, dt)
     boxed = how.limits or how.acceleration is not None
     if how.scheme == "rac":
         slow = loop_gain(how.gain, dt, 0.5)
         box = limits.accelerations(q, qdot, dt) if boxed else None
-        gains, start = (0.25 * slow**2, slow), ocp.sample(stages, 0)
-        found = rac(robot, q, qdot, start, cost, how.alpha, how.damping, gains=gains, box=box, **options)
+        options |= {"qdot": qdot, "damping": how.damping, "gain": 0.5 * slow}
+        found = resolve(robot, q, ocp.sample(stages, 0), cost=cost, box=box, **options)
         rate = qdot + dt * found.rate
         after = q + 0.5 * dt * (qdot + rate)
     else:
         down, box = cost if how.scheme == "asc" else None, Box(low, high) if boxed else None
 
         def field(q: Any, _: Any, asked: TipMotion) -> tuple[Any, Resolved]:
-            found = asc(robot, q, asked, down, how.alpha, gain=loop_gain(how.gain, dt), box=box, **options)
+            found = resolve(robot, q, asked, cost=down, gain=loop_gain(how.gain, dt), box=box, **options)
             return found.rate, found
 
         after, _, found = ocp.integrator(how.integrator, field, dt)(q, None, stages)

@@ -68,97 +68,60 @@ class Resolved(NamedTuple):
     damping: Float[Array, "*b"]
 
 
-def resolve_velocity(
+def resolve(
     robot: Robot,
     q: Float[Array, " n"],
     motion: TipMotion,
-    u: Float[Array, " n"],
+    *,
+    qdot: Float[Array, " n"] | None = None,
+    u: Float[Array, " n"] | None = None,
+    cost: Cost | None = None,
+    alpha: Any = 1.0,
+    damping: Any = 1.0,
     task: Task = POSE,
     gain: Any = 1.0,
     weights: Any = None,
     floor: float = FLOOR,
     box: Box | None = None,
 ) -> Resolved:
-    """The joint velocities that follow `motion` and otherwise come nearest to u [rad/s, m/s], by the norm of `weights` (n,).
-    Traced.
+    """The joint velocities that follow `motion` and otherwise come nearest to u (n,) [rad/s, m/s], by the norm of `weights`
+    (n,); or, where `qdot` (n,) is given, the accelerations [rad/s2, m/s2]. Traced.
 
-    `gain` [1/s] pulls the tip back to its path. `box` holds what the velocities must lie between. Raises `ValueError`
-    for an array of another shape, and for weights that are known and not above zero.
+    Without a u it is 0 (rmrc), or leads down the gradient of a `cost` by `alpha` (asc); of accelerations less `damping` [1/s]
+    times qdot (rac). `gain` K [1/s] pulls the tip back to its path; accelerations by K^2 and 2 K, without overshoot, or by a
+    pair [1/s2, 1/s]. `box` bounds the result. Raises `ValueError` for a u beside a cost, an array of another shape, and weights
+    that are known and not above zero.
     """
     check_weights(robot, weights)
-    return _velocity(robot, task, floor, q, motion, u, gain, weights, box)
+    if u is not None and cost is not None:
+        raise ValueError("resolve: u and a cost; give one of them, or u less the cost's gradient")
+    if u is None:
+        u = downhill(robot, q, cost, alpha, weights)
+        u = u if qdot is None else u - damping * as_configuration(robot, qdot)
+    return _resolved(robot, task, floor, q, motion, u, gain, weights, box, qdot)
 
 
-def resolved_velocity(
-    robot: Robot, task: Task, floor: float, q: Any, motion: TipMotion, u: Any, gain: Any, weights: Any, box: Any = None
-) -> Resolved:
-    """`resolve_velocity`, inside a kernel of its own that is differentiated."""
-    at = TaskAt(robot, q, motion, task)
-    return at.resolved(at.velocity(gain), u, weights, floor, box)
-
-
-_velocity = kernel(models=3)(resolved_velocity)
-
-
-def resolve_acceleration(
+def resolved(
     robot: Robot,
-    q: Float[Array, " n"],
-    qdot: Float[Array, " n"],
+    task: Task,
+    floor: float,
+    q: Any,
     motion: TipMotion,
-    u: Float[Array, " n"],
-    task: Task = POSE,
-    gains: tuple[Any, Any] = (1.0, 2.0),
-    weights: Any = None,
-    floor: float = FLOOR,
+    u: Any,
+    gain: Any,
+    weights: Any,
     box: Box | None = None,
+    qdot: Any = None,
 ) -> Resolved:
-    """The joint accelerations that follow `motion` and otherwise come nearest to u [rad/s2, m/s2]. Traced.
-
-    `gains` (K [1/s2], K' [1/s]) pull the tip back to its path; K' = 2 sqrt(K) without overshoot. `box` holds what the
-    accelerations must lie between. Raises `ValueError` as `resolve_velocity` does.
-    """
-    check_weights(robot, weights)
-    return _acceleration(robot, task, floor, q, qdot, motion, u, gains, weights, box)
+    """`resolve`, inside a kernel of its own that is differentiated."""
+    at = TaskAt(robot, q, motion, task, weights, floor)
+    return at.resolved(at.velocity(gain) if qdot is None else at.acceleration(qdot, gain), u, box)
 
 
-@kernel(models=3)
-def _acceleration(
-    robot: Robot, task: Task, floor: float, q: Any, qdot: Any, motion: TipMotion, u: Any, gains: Any, weights: Any, box: Any
-) -> Resolved:
-    at = TaskAt(robot, q, motion, task)
-    return at.resolved(at.acceleration(qdot, gains), u, weights, floor, box)
+_resolved = kernel(models=3)(resolved)
 
 
-def rmrc(robot: Robot, q: Float[Array, " n"], motion: TipMotion, **options: Any) -> Resolved:
-    """Resolved motion rate control: the least joint velocities. Options are those of `resolve_velocity`. Traced."""
-    return resolve_velocity(robot, q, motion, jnp.zeros(robot.num_joints), **options)
-
-
-def asc(
-    robot: Robot, q: Float[Array, " n"], motion: TipMotion, cost: Cost | None, alpha: Any = 1.0, **options: Any
-) -> Resolved:
-    """Automatic supervisory control: down the gradient of `cost` by `alpha` in the null space. Options are those of
-    `resolve_velocity`. Traced."""
-    return resolve_velocity(robot, q, motion, downhill(robot, q, cost, alpha, **options), **options)
-
-
-def rac(
-    robot: Robot,
-    q: Float[Array, " n"],
-    qdot: Float[Array, " n"],
-    motion: TipMotion,
-    cost: Cost | None = None,
-    alpha: Any = 1.0,
-    damping: Any = 1.0,
-    **options: Any,
-) -> Resolved:
-    """Resolved acceleration control: down the gradient of `cost`, the null-space velocity damped by `damping` [1/s]. Options
-    are those of `resolve_acceleration`. Traced."""
-    u = downhill(robot, q, cost, alpha, **options) - damping * as_configuration(robot, qdot)
-    return resolve_acceleration(robot, q, qdot, motion, u, **options)
-
-
-def downhill(robot: Robot, q: Any, cost: Cost | None, alpha: float, weights: Any = None, **_: Any) -> Any:
+def downhill(robot: Robot, q: Any, cost: Cost | None, alpha: Any, weights: Any = None) -> Any:
     """`-alpha W^-1 dH/dq` (n,), 0 without a cost."""
     if cost is None:
         return jnp.zeros(robot.num_joints)
@@ -168,8 +131,7 @@ def downhill(robot: Robot, q: Any, cost: Cost | None, alpha: float, weights: Any
 
 
 def inverse_weights(robot: Robot, weights: Any, dtype: Any) -> jax.Array:
-    """The diagonal of W^-1 (n,) of `weights`, or None. Raises `ValueError` for another shape, and for what is known
-    and not above zero."""
+    """The diagonal of W^-1 (n,) of `weights`, or None. Raises `ValueError` as `check_weights` does."""
     if weights is None:
         return jnp.ones(robot.num_joints, dtype)
     check_weights(robot, weights)
@@ -177,7 +139,7 @@ def inverse_weights(robot: Robot, weights: Any, dtype: Any) -> jax.Array:
 
 
 def check_weights(robot: Robot, weights: Any) -> None:
-    """Raises `ValueError` for weights (n,) of another shape, and for what is known and not above zero; None is 1 each."""
+    """Raises `ValueError` for weights (n,) of another shape, and for known ones that are not above zero; None is 1 each."""
     if weights is None:
         return
     as_shaped(f"weights of the joints of {robot.name}", weights, (robot.num_joints,))
@@ -186,11 +148,13 @@ def check_weights(robot: Robot, weights: Any) -> None:
 
 
 class TaskAt:
-    """A moment of a task: its rows of the Jacobian (m, n) at q, its error (m,), and what its motion asks. Traced."""
+    """A moment of a task: its rows of the Jacobian (m, n) at q, its error (m,), what its motion asks, and the diagonal of W^-1
+    (n,). Traced."""
 
-    def __init__(self, robot: Robot, q: Any, motion: TipMotion, task: Task):
+    def __init__(self, robot: Robot, q: Any, motion: TipMotion, task: Task, weights: Any = None, floor: float = FLOOR):
         self.q = q = as_configuration(robot, q)
-        self.robot, self.task, self.dtype, self.motion = robot, task, q.dtype, motion
+        self.robot, self.task, self.dtype, self.motion, self.floor = robot, task, q.dtype, motion, floor
+        self.inverse = inverse_weights(robot, weights, q.dtype)
         self.target = Frame.of_entries(traced(as_shaped("pose", motion.pose, (4, 4)).astype(q.dtype)))
         frames = joint_frames(robot, traced(q), dtype=q.dtype)
         self.rows = jnp.asarray(task.rows(jacobian_columns(robot, frames), self.target), q.dtype)
@@ -202,8 +166,10 @@ class TaskAt:
         as_shaped("gain", gain, ())
         return self._components("velocity", self.motion.velocity) - gain * self.error
 
-    def acceleration(self, qdot: Any, gains: tuple[Any, Any]) -> Any:
-        """`wddot + K' werrdot + K werr - Jdot qdot` (m,), of `gains` (K [1/s2], K' [1/s])."""
+    def acceleration(self, qdot: Any, gain: Any) -> Any:
+        """`wddot + K' werrdot + K werr - Jdot qdot` (m,), of a pair K [1/s2], K' [1/s], or a `gain` [1/s], its square and its
+        double."""
+        gains = gain if isinstance(gain, tuple) else (gain**2, 2.0 * gain)
         qdot = as_shaped("qdot", qdot, self.q.shape).astype(self.dtype)
         bias = self._components("bias", bias_acceleration(self.robot, self.q, qdot))
         slow = self._components("velocity", self.motion.velocity) - self.rows @ qdot
@@ -215,7 +181,7 @@ class TaskAt:
         twist = as_shaped(what, twist, (6,)).astype(self.dtype)
         return jnp.asarray(self.task.rows([tuple(twist)], self.target))[:, 0]
 
-    def resolved(self, wanted: Any, u: Any, weights: Any = None, floor: float = FLOOR, box: Box | None = None) -> Resolved:
+    def resolved(self, wanted: Any, u: Any, box: Box | None = None) -> Resolved:
         """`u + W^-1 J' A^-1 (wanted - J u)`; inside a box, with those joints held at their bounds that would leave it.
 
         A held joint has no inverse weight, and its u is the bound. The others take over what it cannot do, as long as they can
@@ -224,16 +190,16 @@ class TaskAt:
         """
         n, wanted = self.robot.num_joints, wanted.astype(self.dtype)
         free = as_shaped("u", u, (n,)).astype(self.dtype)
-        inverse = inverse_weights(self.robot, weights, self.dtype)
-        whole = self._solved(wanted, free, inverse, floor)
+        inverse = self.inverse
+        whole = self._solved(wanted, free, inverse)
         if box is None:
             return Resolved(whole[0], self.error, whole[1])
         low, high = (jnp.asarray(b, self.dtype) for b in box)
-        short = self._shortened(wanted, whole[0], inverse, floor, Box(low, high))
+        short = self._shortened(wanted, whole[0], Box(low, high))
         rate, damping = whole
         for held in range(_PASSES):
             if held:
-                rate, damping = self._solved(wanted, free, inverse, floor)
+                rate, damping = self._solved(wanted, free, inverse)
             inside = jnp.clip(rate, low, high)
             leaves = rate != inside
             free, inverse = jnp.where(leaves, inside, free), jnp.where(leaves, 0.0, inverse)
@@ -242,16 +208,66 @@ class TaskAt:
         lost = missed > least + rounding
         return Resolved(jnp.where(lost, short, inside), self.error, jnp.where(lost, whole[1], damping))
 
-    def _shortened(self, wanted: Any, rate: Any, inverse: Any, floor: float, box: Box) -> Any:
-        """What lies furthest in the box from the slowest that does the task towards `rate`, which does it, too."""
+    def _shortened(self, wanted: Any, rate: Any, box: Box) -> Any:
+        """The rates furthest towards `rate` from the slowest that do the task, inside the box; they do it, too."""
         low, high = box
-        slow, _ = self._solved(wanted, jnp.clip(jnp.zeros_like(rate), low, high), inverse, floor)
+        slow, _ = self._solved(wanted, jnp.clip(jnp.zeros_like(rate), low, high), self.inverse)
         more = rate - slow
         room = jnp.where(more > 0.0, high - slow, slow - low)
         share = jnp.min(jnp.where(more == 0.0, 1.0, safe_divide(room, jnp.abs(more))))
         return jnp.clip(slow + jnp.clip(share, 0.0, 1.0) * more, low, high)
 
-    def _solved(self, wanted: Any, free: Any, inverse: Any, floor: float) -> tuple[Any, Any]:
+    def _solved(self, wanted: Any, free: Any, inverse: Any) -> tuple[Any, Any]:
         scaled = self.rows * inverse
-        y, damping = damped_solve(scaled @ self.rows.T, wanted - self.rows @ free, floor)
+        y, damping = damped_solve(scaled @ self.rows.T, wanted - self.rows @ free, self.floor)
         return free + jnp.stack(y) @ scaled, damping
+
+
+class RateLimits(NamedTuple):
+    """Limits (n,) of the joints' values [rad, m], of their rates and of their accelerations; infinite where there are none.
+
+    They bound the next sample's rates so that no limit is ever met faster than a joint can stop:
+
+        |qdot| <= v,   |qdot - qdot_before| <= a dt,   -s(q - lower) <= qdot <= s(upper - q)
+
+    s is from where samples that are each slower by a dt end on the limit: with w = way / (a dt^2) left of the way it is
+
+        s = (m + f) a dt,   w = m (m + 1) / 2 + f (m + 1),   0 <= f < 1,   m = 0, 1, ...
+
+    a little less than sqrt(2 a way), which holds between samples alone and ends behind the limit by qdot dt / 2; way / dt in
+    the last sample, or where a is infinite.
+    """
+
+    lower: Float[Array, " n"]
+    upper: Float[Array, " n"]
+    velocity: Float[Array, " n"]
+    acceleration: Float[Array, " n"]
+
+    @staticmethod
+    def of(robot: Robot, limits: bool = True, acceleration: Any = None) -> RateLimits:
+        """The robot's own, unless `limits` is False, and an `acceleration` [rad/s2, m/s2], one for all, (n,) or None. Host."""
+        none = np.full(robot.num_joints, np.inf)
+        own = (robot.lower, robot.upper, robot.velocity) if limits else (-none, none, none)
+        return RateLimits(*own, np.broadcast_to(np.inf if acceleration is None else np.asarray(acceleration), none.shape))
+
+    def rates(self, q: Any, qdot: Any, dt: float) -> Box:
+        """The bounds of the rates (n,) of the next `dt` [s], at q, after rates qdot. Traced."""
+        lower, upper, velocity, acceleration = (jnp.asarray(x, q.dtype) for x in self)
+
+        def stop(way: Any) -> Any:
+            endless = ~(jnp.isfinite(way) & jnp.isfinite(acceleration))
+            step = jnp.where(endless, 1.0, acceleration) * dt
+            left = jnp.where(endless | (way <= 0.0), 0.0, way) / (step * dt)
+            whole = jnp.floor((jnp.sqrt(1.0 + 8.0 * left) - 1.0) / 2.0)
+            part = jnp.clip((left - whole * (whole + 1.0) / 2.0) / (whole + 1.0), 0.0, 1.0)
+            return jnp.where(endless, jnp.maximum(way, 0.0) / dt, (whole + part) * step)
+
+        low, high = jnp.maximum(-velocity, -stop(q - lower)), jnp.minimum(velocity, stop(upper - q))
+        # the acceleration's own bounds, as far as the others let them
+        low_near, high_near = qdot - acceleration * dt, qdot + acceleration * dt
+        return Box(jnp.minimum(jnp.maximum(low, low_near), high_near), jnp.maximum(jnp.minimum(high, high_near), low_near))
+
+    def accelerations(self, q: Any, qdot: Any, dt: float) -> Box:
+        """The bounds of the accelerations (n,) [rad/s2, m/s2] that lead there. Traced."""
+        low, high = self.rates(q, qdot, dt)
+        return Box((low - qdot) / dt, (high - qdot) / dt)

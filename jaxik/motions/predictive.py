@@ -34,7 +34,7 @@ from jaxik.dynamics.recursions import GRAVITY, energy, gravity_torque
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
 from jaxik.motions.diagnosis import Course, diagnose
-from jaxik.motions.nullspace import FLOOR, Resolved, loop_gain, resolved_velocity, settles
+from jaxik.motions.nullspace import FLOOR, Resolved, loop_gain, resolved, settles
 from jaxik.motions.path import Path, TipMotion, check_path
 from jaxik.optimise import descent, ocp
 from jaxik.reasons import Reasoned
@@ -118,9 +118,9 @@ class Horizon:
             raise ValueError(f"horizon: dt {self.dt}, gain {self.gain}; allowed: dt > 0, 0 <= gain dt < 2")
 
     def resolve(self, robot: Robot, q: Any, asked: TipMotion, u: Any, gain: float | None = None) -> Resolved:
-        """`resolve_velocity` with these options; with another `gain` if one is given."""
+        """`resolve` with these options; with another `gain` if one is given."""
         gain = loop_gain(self.gain, self.dt) if gain is None else gain
-        return resolved_velocity(robot, self.task, self.floor, q, asked, u, gain, self.weights)
+        return resolved(robot, self.task, self.floor, q, asked, u, gain, self.weights)
 
 
 class Future(NamedTuple):

@@ -5,7 +5,7 @@
     the arm's end     packet --channel--> velocity of the tip --resolution--> rates of the joints
                       contacts --reflection--> force at the tip --channel--> packet
 
-`hand_mapping` has the mappings and `passivity` the channels. Below them `resolve_velocity` spends the spare joints on a cost,
+`hand_mapping` has the mappings and `passivity` the channels. Below them `resolve` spends the spare joints on a cost,
 inside the joints' limits, with accelerations that are bounded. Clearance, to itself and to a scene, never falls below `margin`:
 its rate is at least -approach (d - margin) [Faverjon and Tournassoud 1987], for which the null space gives way first, then the
 tip, which slides along; and what would still come too near is not done. What the arm cannot do is not asked for
@@ -35,9 +35,8 @@ from jaxik.dynamics.point_force import PointForce, as_point_forces, trusted
 from jaxik.kinematics.forward import forward_kinematics, jacobian
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSE, Task
-from jaxik.motions.nullspace import Box, downhill, resolve_velocity
+from jaxik.motions.nullspace import Box, RateLimits, downhill, resolve
 from jaxik.motions.path import TipMotion
-from jaxik.motions.rate_limits import RateLimits
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
 from jaxik.spatial.algebra import safe_divide
@@ -232,26 +231,26 @@ class Teleoperation:
         box = limits.rates(q, before, dt)
         u = downhill(self.robot, q, self.cost, self.alpha)
         motion = TipMotion(target, twist, jnp.zeros(6))
-        resolve = lambda u: resolve_velocity(self.robot, q, motion, u, self.task, self.gain, box=box).rate
+        rates = lambda u: resolve(self.robot, q, motion, u=u, task=self.task, gain=self.gain, box=box).rate
         slower = before - jnp.clip(before, -dt * limits.acceleration, dt * limits.acceleration)
-        rate, apart = self._clear(q, u, lambda rate: jnp.where(held, slower, rate), resolve, box)
+        rate, apart = self._clear(q, u, lambda rate: jnp.where(held, slower, rate), rates, box)
         turned = rotation_exp(dt * twist[3:]) @ target[:3, :3]
         place = target[:3, 3] + dt * twist[:3]
         moved = jnp.concatenate([jnp.concatenate([turned, place[:, None]], axis=1), target[3:]])
         return rate, jnp.where(held, tip, moved), apart, self._world() @ (jacobian(self.robot, q)[:3] @ rate)
 
-    def _clear(self, q: Any, u: Any, or_held: Any, resolve: Any, box: Box) -> tuple[Any, Any]:
+    def _clear(self, q: Any, u: Any, or_held: Any, rates: Any, box: Box) -> tuple[Any, Any]:
         """The rates that keep the clearance, and the clearance. One who is held slows down, and gives way to nothing."""
-        rate = resolve(u)
+        rate = rates(u)
         if self.margin is None:
             return or_held(rate), jnp.asarray(jnp.inf, q.dtype)
         apart, slope = jax.value_and_grad(functools.partial(clearance, self.robot, self.scene))(q)
         least = -self.approach * (apart - self.margin)
         lacks = lambda rate: jnp.maximum(least - slope @ rate, 0.0)
         still = TipMotion.still(forward_kinematics(self.robot, q))
-        spare = resolve_velocity(self.robot, q, still, slope, self.task, 0.0).rate
+        spare = resolve(self.robot, q, still, u=slope, task=self.task, gain=0.0).rate
         able = jnp.maximum(slope @ spare, _ABLE * slope @ slope)
-        rate = resolve(u + spare * safe_divide(lacks(rate), able))
+        rate = rates(u + spare * safe_divide(lacks(rate), able))
         rate = or_held(jnp.clip(rate + slope * safe_divide(lacks(rate), slope @ slope), box.low, box.high))
         least = jnp.minimum(least, 0.0)  # what is too near already leaves as fast as it can
         rate = jnp.where(slope @ rate < least, safe_divide(least, slope @ rate) * rate, rate)

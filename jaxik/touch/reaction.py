@@ -36,9 +36,8 @@ from jaxik.dynamics.point_force import PointForce, as_point_forces, point_jacobi
 from jaxik.estimation.lowpass import Butterworth
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSITION, Task
-from jaxik.motions.nullspace import FLOOR, TaskAt, downhill, inverse_weights, settles
+from jaxik.motions.nullspace import FLOOR, RateLimits, TaskAt, downhill, settles
 from jaxik.motions.path import TipMotion
-from jaxik.motions.rate_limits import RateLimits
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
@@ -208,7 +207,7 @@ class Reaction:
         a = point_torque(self.robot, q, PointForce(state.joint, state.point, direction))
         moved = self.dt * (a @ qdot)
         stiffness = state.stiffness.stiffness
-        at = TaskAt(self.robot, q, motion, self.task)
+        at = TaskAt(self.robot, q, motion, self.task, self.weights, self.floor)
         laws = state.law, state.task_law
         if self.scheme == "rac":
             above = jnp.maximum(felt - self.threshold, 0.0)
@@ -248,10 +247,9 @@ class Reaction:
         self, at: TaskAt, a: Any, state: ReactionState, felt: Any, stiffness: Any, moved: Any
     ) -> tuple[Any, tuple[LawState, LawState]]:
         """Joint rates, and the laws after them."""
-        how = self.weights, self.floor
-        free = at.resolved(at.velocity(self.pull), downhill(self.robot, at.q, self.cost, self.alpha, self.weights), *how).rate
-        away = inverse_weights(self.robot, self.weights, at.dtype) * a
-        null = at.resolved(jnp.zeros(len(at.rows)), away, *how).rate
+        free = at.resolved(at.velocity(self.pull), downhill(self.robot, at.q, self.cost, self.alpha, self.weights)).rate
+        away = at.inverse * a
+        null = at.resolved(jnp.zeros(len(at.rows)), away).rate
         above, law, task_law, total = felt - self.threshold, state.law, state.task_law, free
 
         def gives_way(law: LawState, force: Any, along: Any, helping: bool = False) -> tuple[Any, LawState]:
@@ -275,19 +273,18 @@ class Reaction:
 
     def _accelerations(self, at: TaskAt, rate: Any, a: Any, above: Any) -> Any:
         """Joint accelerations of the scheme "rac", whose loop is damped critically."""
-        how = self.weights, self.floor
         slope = downhill(self.robot, at.q, self.cost, self.alpha, self.weights)
-        asked = at.acceleration(rate, (self.pull**2, 2.0 * self.pull))
-        free = at.resolved(asked, slope - self.damping * rate, *how).rate
-        away = inverse_weights(self.robot, self.weights, at.dtype) * a
-        null = at.resolved(jnp.zeros(len(at.rows)), away, *how).rate
+        asked = at.acceleration(rate, self.pull)
+        free = at.resolved(asked, slope - self.damping * rate).rate
+        away = at.inverse * a
+        null = at.resolved(jnp.zeros(len(at.rows)), away).rate
         total = free + _bounded(self.scale * above * null, self.acceleration)
         return self._inside(at, asked + at.rows @ (total - free), total, self._limits.accelerations(at.q, rate, self.dt))
 
     def _inside(self, at: TaskAt, wanted: Any, total: Any, box: Any) -> Any:
         """`total`, or, where a joint's limits do not let it, what comes nearest and does the same to the task."""
         bounded = self.limits or self.most is not None
-        return at.resolved(wanted, total, self.weights, self.floor, box).rate if bounded else total
+        return at.resolved(wanted, total, box).rate if bounded else total
 
     def _held(self, state: ReactionState, like: ReactionCommand) -> ReactionCommand:
         """Slowed down as fast as may be."""

@@ -221,15 +221,15 @@ def test_options_of_motions_and_scans(made, data):
 
 
 @cheap
-@given(st.sampled_from(("q", "u", "weights", "pose", "velocity", "gain")), ANYTHING)
+@given(st.sampled_from(("q", "qdot", "u", "weights", "pose", "velocity", "gain")), ANYTHING)
 def test_resolved_rates(name, value):
     """Of an array that was too long the rest was left out."""
     shapes = {"pose": (4, 4), "velocity": (6,), "gain": ()}
-    if plain(value, *shapes.get(name, (2,))) or (name == "weights" and value is None):
+    if plain(value, *shapes.get(name, (2,))) or (name in ("qdot", "u", "weights") and value is None):
         return
     moved = NOW._replace(**{name: value}) if name in ("pose", "velocity") else NOW
     given = {"q": ZEROS, "motion": moved, "u": ZEROS, "task": XY} | ({} if moved is not NOW else {name: value})
-    assert answer(lambda: jaxik.motions.resolve_velocity(ARM, **given)) is None
+    assert answer(lambda: jaxik.motions.resolve(ARM, **given)) is None
 
 
 @cheap

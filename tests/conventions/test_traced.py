@@ -17,12 +17,12 @@ from jaxik.spmd import call
 sys.path.insert(0, str(Path(__file__).parents[2] / "docs"))
 public = importlib.import_module("public")
 
-MOST = 300  # lines; a Panda's `resolve_velocity` had 7,600 where the kernel's call has 53
+MOST = 300  # lines; a Panda's `resolve` had 7,600 where the kernel's call has 53
 ARM, UR = jaxik.load("crops_v2"), jaxik.load("ur5e")  # nine joints with bodies and drives; six with a closed form
 Q = jnp.linspace(0.1, 0.5, 9)
 POSE = jnp.asarray(jaxik.pose([0.3, 0.2, 0.4]))
 SCENE = jaxik.make_scene(spheres=[[0.5, 0.1, 0.4, 0.1]], boxes=[[0.5, 0.5, 0.5, 0.1, 0.1, 0.1]])
-MOTION = motions.TipMotion(POSE, jnp.zeros(6), jnp.zeros(6))
+MOTION = motions.TipMotion.still(POSE)
 TOUCH = dynamics.PointForce(3, jnp.array([0.1, 0.0, 0.2]), jnp.array([1.0, 2.0, 3.0]))
 V = jnp.array([0.1, 0.2, 0.3])
 HOLD = lambda q: jnp.sum(q * q)
@@ -39,11 +39,7 @@ CALLS = {  # name -> (function of arrays, arrays)
     "teleoperation.reflect_cost": (lambda q: teleoperation.reflect_cost(ARM, q, HOLD), Q),
     "ik.descend": (lambda q: ik.descend(ARM, POSE, q), Q),
     "ik.implicit_ik": (lambda pose, q: ik.implicit_ik(UR, pose, q), POSE, Q[:6]),
-    "motions.asc": (lambda q: motions.asc(ARM, q, MOTION, HOLD), Q),
-    "motions.rac": (lambda q: motions.rac(ARM, q, q, MOTION, HOLD), Q),
-    "motions.resolve_acceleration": (lambda q: motions.resolve_acceleration(ARM, q, q, MOTION, q), Q),
-    "motions.resolve_velocity": (lambda q: motions.resolve_velocity(ARM, q, MOTION, q), Q),
-    "motions.rmrc": (lambda q: motions.rmrc(ARM, q, MOTION), Q),
+    "motions.resolve": (lambda q: motions.resolve(ARM, q, MOTION, cost=HOLD), Q),
     "reach.log_reach_score": (lambda q: reach.log_reach_score(ARM, SCENE, POSE[None], q[None]), Q),
     "reach.reach_score": (lambda q: reach.reach_score(ARM, SCENE, POSE[None], q[None]), Q),
     "kinematics.bias_acceleration": (lambda q: kinematics.bias_acceleration(ARM, q, q), Q),
@@ -70,6 +66,7 @@ CALLS = {  # name -> (function of arrays, arrays)
     "spatial.rotation_log": (spatial.rotation_log, POSE[:3, :3]),
 }
 METHODS = {
+    "accelerations by motions.resolve": (lambda q: motions.resolve(ARM, q, MOTION, qdot=q, cost=HOLD), Q),
     "motions.Path.at": (lambda t: motions.Line(POSE, POSE.at[0, 3].add(0.1)).at(t, 1.0), jnp.linspace(0, 1, 9)),
 }
 # what is no function of a moment: descents, searches, equations of optimality, simulations; and what makes a cost or a robot

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.motions import RateLimits
+from jaxik.motions.nullspace import RateLimits
 
 DT, STEPS = 1e-3, 3000
 
