@@ -96,7 +96,7 @@ def scan_entry(angles: int = 144, slides: int = 82) -> Entry:
     The seconds to compile are those of the first scan.
     """
     robot, scene = jaxik.load("p6r"), crop()
-    run = lambda: jaxik.harvesting.scan(robot, scene, scene.marks[0], angles, slides) and None
+    run = lambda: jaxik.harvesting.scan(robot, scene, scene.marks[0], angles=angles, slides=slides) and None
     start = time.perf_counter()
-    solved = jaxik.harvesting.scan(robot, scene, scene.marks[0], angles, slides).reason == jaxik.Reason.SOLVED
+    solved = bool(jaxik.harvesting.scan(robot, scene, scene.marks[0], angles=angles, slides=slides))
     return Entry("jaxik", angles * slides * 8, run, time.perf_counter() - start, success=float(solved))

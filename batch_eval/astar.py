@@ -118,7 +118,7 @@ def six_joints() -> dict[str, Any]:
     """The P6R, its slide held, from a posture in the aisle to a fruit of the shipped row; the paper's case was "prohibitively
     slow"."""
     whole, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
-    row = next(row for row in jaxik.harvest(whole, scene).rows if row.success and row.q[0] > 0.0)
+    row = next(row for row in jaxik.harvest(whole, scene) if row and row.q[0] > 0.0)
     hold = lambda limit: np.concatenate([row.q[:1], limit[1:]])
     robot, around = dataclasses.replace(whole, lower=hold(whole.lower), upper=hold(whole.upper)), scene.without(row.fruit)
     rng = np.random.default_rng(0)

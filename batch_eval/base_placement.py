@@ -22,12 +22,11 @@ from matplotlib.figure import Figure
 from race import machine
 
 import jaxik
-from jaxik.harvesting.grasp import approach_grid, fruit_frames
 
 OUT = Path(__file__).with_suffix(".json")
 ROBOT, SCENE = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
 ANGLES = 24  # a fruit is picked at any of them
-POSES = [fruit_frames(fruit, approach_grid(ANGLES)[::2]) for fruit in SCENE.marks]
+POSES = [jaxik.reach.Grasp().frames(fruit, ANGLES)[::2] for fruit in SCENE.marks]
 AROUND = [SCENE.without([fruit.name]).geometry() for fruit in SCENE.marks]
 BOX = np.array([0.5, 0.5, np.radians(40.0)])  # [m, m, rad] to either side
 GRIDS = (2, 3, 4, 5, 6)

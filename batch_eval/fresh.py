@@ -90,9 +90,9 @@ def peak():  # not getrusage: it begins with what the parent process had
     return 1024 * next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
 
 robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
-jaxik.harvesting.scan(robot, scene, scene.marks[0], 8, 4)
+jaxik.harvesting.scan(robot, scene, scene.marks[0], angles=8, slides=4)
 before = peak()
-found = jaxik.harvesting.scan(robot, scene, scene.marks[0], 720, 174)
+found = jaxik.harvesting.scan(robot, scene, scene.marks[0], angles=720, slides=174)
 print(json.dumps({"candidates": found.status.size, "before_bytes": before, "peak_bytes": peak()}))
 """
 

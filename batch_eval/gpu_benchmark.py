@@ -103,7 +103,10 @@ def clearance(gradient: bool, small: bool) -> dict[str, Any]:
 def harvest_scan(small: bool) -> dict[str, Any]:
     robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
     size = (24, 12) if small else (144, 82)
-    return driven(lambda: jaxik.harvesting.scan(robot, scene, scene.marks[0], *size) and None, 8 * size[0] * size[1])
+    return driven(
+        lambda: jaxik.harvesting.scan(robot, scene, scene.marks[0], angles=size[0], slides=size[1]) and None,
+        8 * size[0] * size[1],
+    )
 
 
 def driven(run: Callable[[], Any], count: int, rounds: int = 5) -> dict[str, Any]:

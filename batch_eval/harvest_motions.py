@@ -19,7 +19,7 @@ import numpy as np
 from race import machine
 
 import jaxik
-from jaxik.harvesting import Harvest, HarvestPlan, plan_harvest
+from jaxik.harvesting import HarvestPlan, HarvestResult, plan_harvest
 
 ORDERS = {
     "left to right, best postures": {"order": "row", "candidates": 1},
@@ -27,7 +27,7 @@ ORDERS = {
     "shortest": {"order": "shortest"},
 }
 BLOCK = 256  # configurations
-MARGIN = 0.002  # [m] of `plan_harvest`
+MARGIN = 0.002  # [m] of the motions; postures keep 5 mm
 
 
 def crates(x: Any) -> np.ndarray:
@@ -126,13 +126,13 @@ def checked(plan: HarvestPlan, step: float = 1e-3) -> dict[str, float]:
 # --------------------------------------------------------------------------------------------------------------------
 
 
-def planned(harvested: Harvest, judged: bool = False, **how: Any) -> dict[str, Any]:
+def planned(harvested: HarvestResult, judged: bool = False, **how: Any) -> dict[str, Any]:
     """A plan's figures, and what the check says if it is asked."""
-    plans = [plan_harvest(harvested, **how) for _ in range(4)]  # the first one compiles
+    plans = [plan_harvest(harvested, margin=MARGIN, **how) for _ in range(4)]  # the first one compiles
     plan, seconds = plans[-1], min(plan.seconds for plan in plans)
     kinds = ("transfer", "approach", "retreat", "transport", "home")
     by_kind = {kind: sum(stage.end - stage.start for stage in plan.stages if stage.kind == kind) for kind in kinds}
-    rows = {row.fruit: row.seconds if row.stages else row.why for row in plan.rows}
+    rows = {row.fruit: row.duration if row.stages else row.why for row in plan}
     result = {"picked": len(plan.order), "order": plan.order, "fruits": rows, "total_s": plan.duration, "cycle_s": plan.cycle}
     result |= {"by_kind_s": by_kind, "leaves": len(plan.leaves), "planning_s": seconds}
     return result | ({"checked": checked(plan)} if judged else {})
@@ -167,8 +167,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
     out = parser.parse_args().out
-    harvested = jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"))
-    result: dict[str, Any] = {"machine": machine(), "fruits": len(harvested.rows), "postures": int(harvested.success.sum())}
+    harvested = jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"), margin=0.005)
+    result: dict[str, Any] = {"machine": machine(), "fruits": len(harvested), "postures": int(harvested.success.sum())}
     result |= {"harvest_s": harvested.seconds, "setups": {}, "leaves": {}}
     for setup, place in SETUPS.items():
         for order, how in ORDERS.items():

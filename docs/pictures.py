@@ -30,7 +30,7 @@ def harvest() -> None:
     """The picture of `jaxik harvest`."""
     from jaxik.view import plot_harvest
 
-    result = jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"))
+    result = jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"), margin=0.005)
     plot_harvest(result, FOLDER / "harvest.png")
 
 
@@ -38,8 +38,8 @@ def motions() -> None:
     """The picture of `jaxik harvest --motions`."""
     from jaxik.view import plot_harvest_plan
 
-    result = jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"))
-    plot_harvest_plan(jaxik.harvesting.plan_harvest(result), FOLDER / "motions.png")
+    result = jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"), margin=0.005)
+    plot_harvest_plan(jaxik.harvesting.plan_harvest(result, margin=0.002), FOLDER / "motions.png")
 
 
 def reach() -> None:

@@ -9,8 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxik
-from jaxik.harvesting.grasp import fruit_frames
-from jaxik.harvesting.scanning import Scan
 
 
 def approach_angles(
@@ -26,7 +24,7 @@ def approach_angles(
     straight = hand.joint_T_tip
     for frame in hand.parent_T_joint[::-1]:
         straight = frame @ straight
-    placed = fruit_frames(fruit, at) @ np.linalg.inv(straight)
+    placed = jaxik.harvesting.Grasp().frames(fruit, at) @ np.linalg.inv(straight)
     others = scene.without([name for name in scene.object_names if name == fruit.name])
     each = jax.vmap(lambda frame: jnp.min(jaxik.collision.object_clearances(hand.mounted(frame), others, rest)))
     distance = np.asarray(jax.jit(each)(placed))
@@ -35,8 +33,8 @@ def approach_angles(
 
 
 def scan_two_step(
-    robot: jaxik.Robot, scene: jaxik.Scene, fruit: jaxik.collision.Mark, angles: int = 72, slides: Any = 41
-) -> tuple[Scan, int]:
+    robot: jaxik.Robot, scene: jaxik.Scene, fruit: jaxik.collision.Mark, angles: int = 72, slides: Any = 41, margin: float = 0.0
+) -> tuple[jaxik.harvesting.ScanResult, int]:
     """Both steps, with the recovery that the paper lacks: if the best angle has no posture the next one is taken.
 
     Returns the scan of the first angle that has one (else of the best angle) and how many angles were tried.
@@ -44,7 +42,7 @@ def scan_two_step(
     order, _ = approach_angles(robot, scene, fruit, angles)
     scans = []
     for angle in order:
-        scans.append(jaxik.harvesting.scan(robot, scene, fruit, np.array([angle]), slides))
-        if scans[-1].reason == jaxik.Reason.SOLVED:
+        scans.append(jaxik.harvesting.scan(robot, scene, fruit, angles=[angle], slides=slides, margin=margin))
+        if scans[-1]:
             return scans[-1], len(scans)
     return scans[0], len(scans)

@@ -15,15 +15,14 @@ import jaxik
 from jaxik.cli.progress import progress_bar
 from jaxik.cli.results import check_writable, naming, print_table, write_csv
 from jaxik.cli.robot_arguments import ShapedRobotArguments
-from jaxik.harvesting.driver import Harvest
-from jaxik.harvesting.harvest_plan import HarvestPlan, HarvestPlanOptions, Leaves, Order
-from jaxik.harvesting.harvest_plan_files import save_harvest_plan
+from jaxik.harvesting.driver import HarvestOptions, HarvestResult
+from jaxik.harvesting.harvest_plan import HarvestPlan, HarvestPlanOptions, Leaves, Order, save_harvest
 from jaxik.harvesting.harvest_planner import plan_harvest
-from jaxik.harvesting.scanning import Weights
 from jaxik.planning.trajectory_files import ENDINGS
 
-PLAN = HarvestPlanOptions()
-OF_MOTIONS = "order", "home", "place", "leaves", "approach", "candidates", "period"
+HARVEST, PLAN = HarvestOptions(), HarvestPlanOptions()
+OF_HARVEST = "angles", "slides", "margin", "clearance_weight", "freedom_weight", "reach"
+OF_MOTIONS = "order", "home", "place", "leaves", "approach", "candidates", "dt"
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -34,14 +33,18 @@ class HarvestArguments(ShapedRobotArguments):
     """A shipped model or a robot file (.urdf, .xml, .toml)."""
     scene: str = "cucumber_row"
     """A shipped scene or a scene file (.toml, or labelled points as .csv or .ply)."""
-    weights: Weights = dataclasses.field(default_factory=Weights)
-    """What makes a posture good."""
-    angles: int = 72
+    angles: int = HARVEST.angles
     """Approach angles about the fruit."""
-    slides: int = 41
+    slides: int = HARVEST.slides
     """Positions of each leading joint."""
-    margin: float = 0.005
-    """Least clearance [m]."""
+    margin: float = HARVEST.margin
+    """Least clearance [m], of the motions, too."""
+    clearance_weight: float = HARVEST.clearance_weight
+    """What clearance is worth in a posture's score."""
+    freedom_weight: float = HARVEST.freedom_weight
+    """What the freedom of the least free joint is worth."""
+    reach: float = HARVEST.reach
+    """Clearance beyond which more is worth nothing [m]."""
     motions: bool = False
     """Plan the motions, too, that pick one fruit after another; what follows says how."""
     order: Order = PLAN.order
@@ -56,15 +59,13 @@ class HarvestArguments(ShapedRobotArguments):
     """Length of the straight way to a fruit and back [m]."""
     candidates: int = PLAN.candidates
     """Postures a fruit that the order may choose from."""
-    period: float = 0.01
+    dt: float = 0.01
     """Between samples of the motions' files [s]."""
     out: Path = Path("harvest")
     """Folder for postures.csv, postures.npz and harvest.png; of motions motions.csv, .npz, .json and .png, too."""
 
     def run(self) -> None:
         """Load, harvest with a progress bar, write, and end with one line of counts and times."""
-        from rich.markup import escape
-
         if self.angles < 1 or self.slides < 1:
             raise ValueError(f"--angles {self.angles} --slides {self.slides}: both are at least 1")
         given = [f"--{name}" for name in OF_MOTIONS if getattr(self, name) != getattr(type(self), name)]
@@ -74,23 +75,23 @@ class HarvestArguments(ShapedRobotArguments):
         robot = jaxik.load(self.robot, **self.loading())
         scene = jaxik.load_scene(self.scene)
         how = self.plan_options(robot.num_joints)
-        options = {name: getattr(self, name) for name in ("weights", "angles", "slides", "margin")}
+        options = {name: getattr(self, name) for name in OF_HARVEST}
         with progress_bar() as bar:
 
-            def shown(words: str) -> Callable[[str], None]:
+            def shown(words: str) -> Callable[[int, int], None]:
                 task = bar.add_task(words, total=len(scene.marks))
-                return lambda name: bar.update(task, advance=1, description=escape(f"{words} {name}"))
+                return lambda done, total: bar.update(task, completed=done, total=total)
 
             result = jaxik.harvest(robot, scene, progress=shown("harvest"), **options)
-            plan = plan_harvest(result, how, progress=shown("motions")) if self.motions else None
+            plan = plan_harvest(result, options=how, progress=shown("motions")) if self.motions else None
         _print_table(result)
         if plan is not None:
             _print_cycles(plan)
         with naming(self.out):
-            write_harvest(result, self.out, plan, self.period)
+            write_harvest(result, self.out, plan, self.dt)
         counts = ", ".join(f"{n} {reason}" for reason, n in result.counts().items())
         took = f"{result.candidates} candidates in {result.seconds:.1f} s"
-        print(f"{len(result.rows)} fruits: {counts}; {took}; {'' if plan is None else _in_motion(plan)}wrote {self.out}/")
+        print(f"{len(result)} fruits: {counts}; {took}; {'' if plan is None else _in_motion(plan)}wrote {self.out}/")
 
     def plan_options(self, joints: int) -> HarvestPlanOptions:
         """The options of `plan_harvest` among these."""
@@ -100,7 +101,7 @@ class HarvestArguments(ShapedRobotArguments):
                 raise ValueError(
                     f"--{name}: {count} numbers; allowed: {joints}{' or a multiple of it' if name == 'place' else ''}"
                 )
-        given = {name: getattr(self, name) for name in ("order", "leaves", "approach", "candidates")}
+        given = {name: getattr(self, name) for name in ("order", "leaves", "approach", "candidates", "margin")}
         place = np.reshape(self.place, (-1, joints)) if self.place else None
         return dataclasses.replace(PLAN, home=self.home or None, place=place, **given)
 
@@ -110,9 +111,9 @@ def _print_cycles(plan: HarvestPlan) -> None:
     kinds = ("transfer", "approach", "retreat", "transport")
     order = {name: i for i, name in enumerate(plan.order, 1)}
     rows = []
-    for row in sorted(plan.rows, key=lambda row: order.get(row.fruit, len(plan.rows))):
+    for row in sorted(plan, key=lambda row: order.get(row.fruit, len(plan))):
         seconds = {stage.kind: f"{stage.end - stage.start:.2f}" for stage in row.stages}
-        cells = [f"{row.seconds:.2f}" if row.stages else "", *(seconds.get(kind, "") for kind in kinds)]
+        cells = [f"{row.duration:.2f}" if row.stages else "", *(seconds.get(kind, "") for kind in kinds)]
         rows.append([row.fruit, str(order.get(row.fruit, "")) or row.why, *cells, ", ".join(row.leaves)])
     print_table("motions [s]", ("fruit", "order, or why not", "cycle", *kinds, "leaves touched"), rows)
 
@@ -125,9 +126,9 @@ def _in_motion(plan: HarvestPlan) -> str:
     return f"{picked} picked in {plan.duration:.1f} s{each}{leaves}; planned in {plan.seconds:.1f} s; "
 
 
-def _print_table(result: Harvest) -> None:
+def _print_table(result: HarvestResult) -> None:
     robot, rows = result.robot, []
-    for row in result.rows:
+    for row in result:
         if row.success:
             joints = [f"{x:.3f}" if p else f"{np.degrees(x):.1f}" for x, p in zip(row.q, robot.is_prismatic, strict=True)]
             cells = [*joints, f"{1000 * row.clearance:.0f}", f"{row.freedom:.2f}", row.found_by]
@@ -139,7 +140,7 @@ def _print_table(result: Harvest) -> None:
     print("joints in degrees, prismatic ones in metres")
 
 
-def write_harvest(result: Harvest, out: Path, plan: HarvestPlan | None = None, period: float = 0.01) -> None:
+def write_harvest(result: HarvestResult, out: Path, plan: HarvestPlan | None = None, dt: float = 0.01) -> None:
     """postures.csv, postures.npz (no pickle) and harvest.png in the folder `out`; of a plan motions.csv, .npz, .json and .png.
 
     All are written aside first. A new folder then appears whole, by one rename. In one that is there they are replaced one by
@@ -161,7 +162,7 @@ def write_harvest(result: Harvest, out: Path, plan: HarvestPlan | None = None, p
         plot_harvest(result, aside / "harvest.png")
         if plan is not None:
             for ending in ENDINGS:
-                save_harvest_plan(aside / f"motions{ending}", plan, period)
+                save_harvest(plan, aside / f"motions{ending}", dt=dt)
             plot_harvest_plan(plan, aside / "motions.png")
         if there:
             _replace_all(aside, out)

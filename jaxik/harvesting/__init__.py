@@ -1,27 +1,27 @@
 """Fruits, how they are grasped, and the best posture for each."""
 
-from jaxik.harvesting import crop
-from jaxik.harvesting.blocking_objects import blockers
-from jaxik.harvesting.driver import Harvest, HarvestOptions, harvest
-from jaxik.harvesting.grasp import Grasp
-from jaxik.harvesting.harvest_plan import Cycle, HarvestPlan, HarvestPlanOptions, Stage
-from jaxik.harvesting.harvest_plan_files import save_harvest_plan
+from jaxik.harvesting.blocking_objects import Blockers
+from jaxik.harvesting.crop import make_row
+from jaxik.harvesting.driver import HarvestOptions, HarvestResult, harvest
+from jaxik.harvesting.harvest_plan import HarvestMotion, HarvestPlan, HarvestPlanOptions, Stage, save_harvest
 from jaxik.harvesting.harvest_planner import plan_harvest
-from jaxik.harvesting.scanning import Weights, scan
+from jaxik.harvesting.scanning import ScanOptions, ScanResult, scan
+from jaxik.reach.grasp import Grasp
 
 __all__ = [
-    "Cycle",
+    "Blockers",
     "Grasp",
-    "Harvest",
+    "HarvestMotion",
     "HarvestOptions",
     "HarvestPlan",
     "HarvestPlanOptions",
+    "HarvestResult",
+    "ScanOptions",
+    "ScanResult",
     "Stage",
-    "Weights",
-    "blockers",
-    "crop",
     "harvest",
+    "make_row",
     "plan_harvest",
-    "save_harvest_plan",
+    "save_harvest",
     "scan",
 ]

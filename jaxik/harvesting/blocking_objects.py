@@ -8,11 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.checks.options import check_finite, check_kind, no_such
 from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import by_object, clearance
 from jaxik.collision.scene import Scene
-from jaxik.harvesting.scanning import Scan, without_fruit
 from jaxik.kinematics.robot import Robot
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
@@ -20,17 +18,12 @@ from jaxik.spmd.batch import in_blocks
 MOST = 3  # objects that are named where nothing helps
 
 
-@functools.lru_cache(maxsize=16)
-def _contacts(robot: Robot, objects: int) -> HostKernel:
-    return HostKernel(lambda q, around: (by_object(robot, objects, around, q), clearance(robot, None, q)), 1)
-
-
 class Blockers(NamedTuple):
     """Objects in the way of a fruit: the share of candidate postures that each blocks, and what has to go first.
 
     Fruits are picked first, `pick_first`, which will be picked anyway; then leaves are taken away, `removal`, as few as
-    possible. They open `row` of the table. `removal` and `row` are None where nothing opens a posture (the robot hits itself,
-    or what may not go).
+    possible. They open `row` of the scan's table. `removal` and `row` are None where nothing opens a posture (the robot hits
+    itself, or what may not go).
     """
 
     names: tuple[str, ...]
@@ -63,7 +56,8 @@ def _listed(names: tuple[str, ...]) -> str:
 
 class Touched(NamedTuple):
     """What the candidate postures of a fruit touch: the share of them that touches each object; and the different sets (k,
-    objects) of those that may go, each with the row of the posture that keeps most clear of what stays, by `clearance` [m]."""
+    objects) of objects that may go, each with the row of the posture that keeps most clear of what stays, by `clearance`
+    [m]."""
 
     scene: Scene
     share: np.ndarray
@@ -72,8 +66,12 @@ class Touched(NamedTuple):
     clearance: np.ndarray
 
     def opened(self, pickable: Collection[str] = (), leaves: bool = True) -> Blockers:
-        """The cheapest set whose removal opens a posture, of fruits that are `pickable` and, where they may go, `leaves`: of
-        the fewest leaves, then of the fewest fruits, then with the most clearance to what stays."""
+        """The cheapest set whose removal opens a posture, made of fruits that are `pickable` and, where they may go, `leaves`:
+        the one with the fewest leaves, then with the fewest fruits, then with the most clearance to what stays.
+
+        A posture opens exactly when all that it touches is gone; so the smallest set is the smallest of the sets that the
+        candidates touch, no search needed.
+        """
         objects = self.scene.object_names
         order = [int(i) for i in np.argsort(-self.share, kind="stable") if self.share[i] > 0.0]
         known = Blockers(tuple(objects[i] for i in order), tuple(float(self.share[i]) for i in order), None, None)
@@ -88,14 +86,19 @@ class Touched(NamedTuple):
         return known._replace(removal=named(taken), row=int(self.row[best]), pick_first=named(picked))
 
 
-def touched_sets(robot: Robot, scene: Scene, found: Scan, margin: float) -> Touched:
-    """What each candidate posture of a scanned fruit touches. Host driver."""
+@functools.lru_cache(maxsize=16)
+def _contacts(robot: Robot, objects: int) -> HostKernel:
+    return HostKernel(lambda q, around: (by_object(robot, objects, around, q), clearance(robot, None, q)), 1)
+
+
+def touched_sets(robot: Robot, scene: Scene, others: Scene, q: np.ndarray, margin: float) -> Touched:
+    """What candidate postures `q` (b, n) of a fruit touch among the `others`, the scene without it. Host driver."""
     count = len(scene.object_names)
-    if not len(found.table.q):
+    if not len(q):
         nothing = np.zeros(0)
         return Touched(scene, np.zeros(count), np.zeros((0, count), bool), nothing.astype(int), nothing)
-    around = grouped(without_fruit(scene, found.fruit), robot, by_object=True)
-    distance, own = in_blocks(_contacts(robot, count), found.table.q, fixed=(around,))
+    around = grouped(others, robot, by_object=True)
+    distance, own = in_blocks(_contacts(robot, count), q, fixed=(around,))
     hit = distance < margin
     fruits = [fruit.name for fruit in scene.marks]
     goes = np.array([one or name in fruits for name, one in zip(scene.object_names, scene.removable, strict=True)], bool)
@@ -107,27 +110,12 @@ def touched_sets(robot: Robot, scene: Scene, found: Scan, margin: float) -> Touc
     return Touched(scene, hit.mean(axis=0), hit[rows], rows, stays[rows])
 
 
-def blockers(robot: Robot, scene: Scene, found: Scan, margin: float = 0.005, pickable: Collection[str] = ()) -> Blockers:
-    """Which objects stand in the way of a scanned fruit, and the least that has to go for a posture of its table. Host driver.
-
-    A posture opens exactly when all that it touches is gone; so the smallest set is the smallest of the sets that the
-    candidates touch, no search needed. Leaves go, and the fruits that you say are `pickable` themselves, by their names: of
-    what opens a posture the set with the fewest leaves is taken, of equal ones that with the fewest fruits, then with the most
-    clearance to what stays. `harvest` says of all fruits of a scene which are pickable.
-    """
-    check_kind("blockers", "found", found, Scan)
-    check_finite("blockers", margin=margin)
-    names = [fruit.name for fruit in scene.marks]
-    pickable = [pickable] if isinstance(pickable, str) else pickable
-    for name in pickable:
-        if name not in names:
-            raise ValueError(no_such("blockers: pickable", "fruit", str(name), names))
-    return touched_sets(robot, scene, found, margin).opened(pickable)
-
-
 def unblocked(touched: Mapping[str, Touched], pickable: Collection[str]) -> dict[str, Blockers]:
-    """What has to go for each of some fruits, by name, where others are `pickable`. One that needs only others to be picked is
-    pickable as well, after them; and where that ends, so is one for which leaves are taken away."""
+    """What has to go for each of some fruits, by name, where others are `pickable`.
+
+    A fruit that needs only others to be picked is pickable as well, after them; and where that ends, so is one for which
+    leaves are taken away.
+    """
     known: dict[str, Blockers] = {}
     tried: dict[str, Blockers] = {}
     can = list(pickable)

@@ -19,10 +19,10 @@ _GOURD = ((38, 34, 60), (43.25, 29.25, 55), (48.5, 24.5, 50), (53.75, 19.75, 55)
 TRELLIS_TARGETS = {"bitter_gourd": _GOURD, "tindora": ((59.25, 37, 57),), "guava": ((49, 69, 62), (57, -67, 60))}
 
 
-def cucumber_row(seed: int = 0, plants: int = 5, leaves: int = 4, fruits: int = 12) -> Scene:
-    """A row of `plants` stems 0.25 m apart, each with `leaves` leaves in the robot's reach, and `fruits` among them.
+def make_row(seed: int = 0, *, plants: int = 5, leaves: int = 4, fruits: int = 12) -> Scene:
+    """A cucumber row: `plants` stems 0.25 m apart, each with `leaves` leaves in the robot's reach, and `fruits`. Host.
 
-    The same seed gives the same scene.
+    The same seed gives the same scene; that of 0 is the shipped `cucumber_row`.
     """
     rng = np.random.default_rng(seed)
     builder = SceneBuilder(name=f"cucumber_row_{seed}", point_radius=0.01)

@@ -5,159 +5,135 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from jaxik.checks.options import changed, check_finite, check_kind
+from jaxik.checks.options import check_kind
 from jaxik.collision.always_colliding import warn_of_scene
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
-from jaxik.harvesting.blocking_objects import Blockers, touched_sets, unblocked
-from jaxik.harvesting.grasp import Grasp, grasp_poses
+from jaxik.harvesting.blocking_objects import unblocked
 from jaxik.harvesting.grid_refinement import recover
-from jaxik.harvesting.scanning import Scan, Weights, scan
+from jaxik.harvesting.scanning import ScanOptions, ScanResult, scan
 from jaxik.kinematics.forward import pose_errors
 from jaxik.kinematics.robot import Robot
-from jaxik.reasons import Reason, Reasoned
+from jaxik.pytree import static
+from jaxik.reasons import Reason
+from jaxik.results import Result, by_row
+
+NUMBERS = ("angle", "clearance", "freedom", "score", "position_error", "rotation_error")  # fields that are one number a row
 
 
-class Posture(NamedTuple):
-    """What became of one fruit. Without a posture the numbers are NaN and `reason` says why.
+class HarvestOptions(ScanOptions, who="harvest"):
+    """What `harvest` tries for each fruit, and which posture it takes."""
 
-    `angle` [rad] about the fruit's axis, `clearance` [m], `freedom` in [0, 1], `position_error` [m] and `rotation_error` [rad]
-    of the tip (in float64), `found_by` "grid", "finer grid" or "gradient".
+
+class HarvestResult(Result):
+    """One row a fruit, in the scene's order; it prints as a line a fruit. Without a posture the numbers of a row are NaN.
+
+    fruit: its name. q (b, n) [rad, m]. angle (b,) [rad] about the fruit's axis. clearance (b,) [m]. freedom (b,) in [0, 1].
+    score (b,): see `HarvestOptions`. position_error [m] and rotation_error [rad] of the tip (b,), in float64.
+    found_by: "grid", "finer grid", "gradient", or "". blockers: what has to go first, if the reason is COLLISION, else None.
+    scan: all candidates. seconds: how long all rows took.
     """
 
-    fruit: str
-    reason: Reason
-    q: np.ndarray
-    angle: float
-    clearance: float
-    freedom: float
-    score: float
-    position_error: float
-    rotation_error: float
-    found_by: str
-    blockers: Blockers | None
-    scan: Scan
+    HELP = {
+        Reason.OUT_OF_REACH: "bring the base nearer to it",
+        Reason.LIMITS: "turn or move the base, or let the tip meet it another way (grasp)",
+    }
+    ROW = "fruit"
+
+    fruit: Any = by_row()
+    reason: Any
+    q: Any
+    angle: Any
+    clearance: Any
+    freedom: Any
+    score: Any
+    position_error: Any
+    rotation_error: Any
+    found_by: Any = by_row()
+    blockers: Any = by_row()
+    scan: Any = by_row()
+    robot: Robot = static()
+    scene: Scene = static()
+    options: HarvestOptions = static()
+    seconds: float = static(default=0.0)
 
     @property
-    def success(self) -> bool:
-        return self.reason == Reason.SOLVED
+    def candidates(self) -> int:
+        """How many candidates were looked at."""
+        return sum(row.scan.status.size for row in self)
 
-    @property
-    def why(self) -> str:
-        """The reason in words, and of a fruit that is blocked what would help: `collision: pick fruit_7`."""
-        return self.reason.text + (f": {self.blockers.words}" if self.blockers else "")
-
-
-@dataclasses.dataclass(frozen=True, repr=False)
-class Harvest(Reasoned):
-    """One row a fruit, in the scene's order, and how long it took [s]; it prints as a line a fruit."""
-
-    robot: Robot
-    scene: Scene
-    rows: tuple[Posture, ...]
-    seconds: float
-    candidates: int
-    options: HarvestOptions
+    def _words(self, reason: Reason, row: int) -> str:
+        blockers = self.blockers if self.single else self.blockers[row]
+        return f"{reason.text}: {blockers.words}" if blockers else super()._words(reason, row)
 
     def __repr__(self) -> str:
-        fate = lambda row: f"clearance {1000 * row.clearance:.1f} mm" if row.success else row.why
-        lines = [f"  {row.fruit}: {fate(row)}" for row in self.rows]
-        return "\n".join([f"Harvest of {self.scene.name} by {self.robot.name}: {self.counts()}", *lines])
-
-    @property
-    def q(self) -> np.ndarray:
-        return np.stack([row.q for row in self.rows])
-
-    @property
-    def reason(self) -> np.ndarray:
-        return np.array([int(row.reason) for row in self.rows])
-
-    @property
-    def clearance(self) -> np.ndarray:
-        return np.array([row.clearance for row in self.rows])
+        fate = lambda row: f"clearance {1000 * row.clearance:.1f} mm" if row else row.why
+        lines = [f"  {row.fruit}: {fate(row)}" for row in self]
+        return "\n".join([f"Harvest of {self.scene.name} by {self.robot.name}: {self._told()}", *lines])
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Everything that a table holds, as arrays with one entry a fruit."""
-        column = lambda name: np.array([getattr(row, name) for row in self.rows])
-        joined = lambda name: np.array([" ".join(getattr(row.blockers, name, None) or ()) for row in self.rows])
-        numbers = ("angle", "clearance", "freedom", "score", "position_error", "rotation_error")
-        known = {
-            "fruit": column("fruit"),
-            "joint_names": np.array(self.robot.joint_names),
-            "q": self.q,
-            "success": self.success,
-        }
-        known |= {"reason": self.reasons, "found_by": column("found_by")}
-        known |= {"pick_first": joined("pick_first"), "remove": joined("removal")}
-        return known | {name: column(name) for name in numbers}
-
-
-@dataclasses.dataclass(frozen=True)
-class HarvestOptions:
-    """What makes a posture good; how many `angles` about a fruit's axis and `slides`, positions of the leading joints, are
-    tried (counts, or the values (m,) [rad] and (m, k) [m, rad]); the least clearance [m]; and how the tip meets a fruit."""
-
-    weights: Weights = dataclasses.field(default_factory=Weights)
-    angles: Any = 72
-    slides: Any = 41
-    margin: float = 0.005
-    grasp: Grasp = dataclasses.field(default_factory=Grasp)
-
-    def __post_init__(self) -> None:
-        check_kind("harvest", "weights", self.weights, Weights)
-        check_kind("harvest", "grasp", self.grasp, Grasp)
-        check_finite("harvest", margin=self.margin)
+        rows = list(self)
+        joined = lambda name: np.array([" ".join(getattr(row.blockers, name, None) or ()) for row in rows])
+        column = lambda name: np.array([getattr(row, name) for row in rows])
+        known = {"fruit": column("fruit"), "joint_names": np.array(self.robot.joint_names), "q": column("q")}
+        known |= {"success": column("success"), "reason": np.array([row.reason.text for row in rows])}
+        known |= {"found_by": column("found_by"), "pick_first": joined("pick_first"), "remove": joined("removal")}
+        return known | {name: column(name) for name in NUMBERS}
 
 
 def harvest(
     robot: Robot,
     scene: Scene,
+    *,
     options: HarvestOptions | None = None,
-    progress: Callable[[str], Any] | None = None,
+    progress: Callable[[int, int], Any] | None = None,
     **changes: Any,
-) -> Harvest:
+) -> HarvestResult:
     """The best collision-free posture of `robot` for every fruit of `scene`, or the reason why there is none. Host driver.
 
     Scans all angles about a fruit's axis with all positions of the leading joints and all branches (`scan`), and recovers
     between the grid's points where the grid has nothing (`recover`). For a fruit behind obstacles it names them and what has
-    to go first (`blockers`): neighbours that can be picked themselves, else the fewest leaves. `changes` are fields of
-    `HarvestOptions` by name. `progress` is called with the name of each finished fruit.
+    to go first (`ScanResult.blockers`): neighbours that can be picked themselves, else the fewest leaves. `changes` are fields
+    of `HarvestOptions` by name. `progress` is called with the numbers of finished fruits and of all.
 
-    Raises `ValueError` where the robot has no closed form or the scene no fruit, and for an option that is none. Source: Van
+    Raises `ValueError` where the robot has no closed form or the scene no fruit, and for another kind of option. Source: Van
     Henten et al. 2010, sec. 4, 5.1.
     """
-    options = changed("harvest", options or HarvestOptions(), {k: v for k, v in changes.items() if v is not None})
+    options = HarvestOptions.chosen(options, changes)
     check_kind("harvest", "scene", scene, Scene)
     if not scene.marks:
         raise ValueError(f"scene '{scene.name}' has no fruit; add one with SceneBuilder.add_mark")
     check_geometry(robot)
     warn_of_scene("harvest", robot, scene, options.margin)
-    start, rows, touched = time.perf_counter(), [], {}
+    start, rows = time.perf_counter(), []
     for fruit in scene.marks:
-        found = scan(robot, scene, fruit, **vars(options))
-        rows.append(_posture(robot, scene, found, options))
-        if rows[-1].reason == Reason.COLLISION:
-            touched[fruit.name] = touched_sets(robot, scene, found, options.margin)
+        rows.append(_best(scan(robot, scene, fruit, options=options), options))
         if progress:
-            progress(fruit.name)
-    blocked = unblocked(touched, [row.fruit for row in rows if row.success])
-    rows = [row._replace(blockers=blocked.get(row.fruit)) for row in rows]
-    return Harvest(robot, scene, tuple(rows), time.perf_counter() - start, sum(row.scan.status.size for row in rows), options)
+            progress(len(rows), len(scene.marks))
+    touched = {row.fruit: row.scan.touched() for row in rows if row.reason == Reason.COLLISION}
+    blocked = unblocked(touched, [row.fruit for row in rows if row])
+    found = HarvestResult.stacked(rows)
+    blockers = tuple(blocked.get(row.fruit) for row in rows)
+    return dataclasses.replace(found, blockers=blockers, seconds=time.perf_counter() - start)
 
 
-def _posture(robot: Robot, scene: Scene, found: Scan, options: HarvestOptions) -> Posture:
+def _best(found: ScanResult, options: HarvestOptions) -> HarvestResult:
+    """The row of one fruit."""
     row, how = found.table.best_row(options.margin), "grid"
     if row is None:
-        row, how = recover(robot, scene, found, options.weights, options.margin, options.grasp) or (None, "")
+        row, how = recover(found) or (None, "")
     if row is None:
-        nothing, nans = np.full(robot.num_joints, np.nan), (np.nan,) * 6
-        return Posture(found.fruit.name, found.reason, nothing, *nans, "", None, found)
-    q = row.q[0].astype(np.float64)
-    pose = grasp_poses(robot, found.fruit, row.angle, options.grasp)[0]
-    away, turned = pose_errors(robot, q.tolist(), pose.ravel().tolist())
-    angle, distance, freedom, score = (float(x[0]) for x in (row.angle, row.clearance, row.freedom, row.score))
-    return Posture(found.fruit.name, Reason.SOLVED, q, angle, distance, freedom, score, away, turned, how, None, found)
+        reason, q = found.reason, np.full(found.robot.num_joints, np.nan)
+        known: dict[str, Any] = dict.fromkeys(NUMBERS, np.nan)
+    else:
+        reason, q = Reason.SOLVED, row.q[0].astype(np.float64)
+        pose = options.grasp.poses(found.robot, found.fruit, row.angle)[0]
+        known = {name: float(getattr(row, name)[0]) for name in NUMBERS[:4]}
+        known |= dict(zip(NUMBERS[4:], pose_errors(found.robot, q.tolist(), pose.ravel().tolist()), strict=True))
+    known |= {"robot": found.robot, "scene": found.scene, "options": options}
+    return HarvestResult(found.fruit.name, reason, q, found_by=how, blockers=None, scan=found, **known)

@@ -1,4 +1,4 @@
-"""Postures between the points of a grid that has none: a finer grid around the nearest misses, then gradient ascent."""
+"""Finds postures between the points of a grid that has none: a finer grid around the nearest misses, then gradient ascent."""
 
 from __future__ import annotations
 
@@ -14,9 +14,7 @@ from jaxik.analytic.families import redundancy, solver_of
 from jaxik.analytic.solutions import closed_forms
 from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import clearance
-from jaxik.collision.scene import Scene
-from jaxik.harvesting.grasp import Grasp, grasp_poses
-from jaxik.harvesting.scanning import MISSES, Scan, Table, Weights, measured, scan, without_fruit
+from jaxik.harvesting.scanning import MISSES, ScanResult, Table, measured, scan, without_fruit
 from jaxik.kinematics.forward import jacobian
 from jaxik.kinematics.robot import Robot
 from jaxik.reach.leading_joints import grid
@@ -29,8 +27,7 @@ LIMIT_LENGTH = 0.1  # [m/rad] at which a joint past its limit weighs against cle
 
 @functools.lru_cache(maxsize=16)
 def _ascent(robot: Robot) -> HostKernel:
-    """What recovery raises (`_worth`), its gradient in q, and the Jacobian."""
-
+    """The kernel of what recovery raises (`_worth`), its gradient in q, and the Jacobian."""
     worth = jax.value_and_grad(lambda q, scene: _worth(robot, clearance(robot, scene, q), q))
     return HostKernel(lambda q, scene: (*worth(q, scene), jacobian(robot, q)), 1)
 
@@ -48,10 +45,8 @@ class Recovered(NamedTuple):
     how: str
 
 
-def recover(
-    robot: Robot, scene: Scene, found: Scan, weights: Weights | None = None, margin: float = 0.005, grasp: Grasp | None = None
-) -> Recovered | None:
-    """A posture near the misses of a scan that has none: a grid ten times finer around them, then gradient ascent.
+def recover(found: ScanResult) -> Recovered | None:
+    """Finds a posture near the misses of a scan that has none: a grid ten times finer around them, then gradient ascent.
 
     The gradient is exact. Along the self-motion (the tip stays) the joints follow angle and leading joints by
     `J_arm dq_arm = twist - J_lead dq_lead`, and every step ends in the closed form, so the pose never drifts.
@@ -59,15 +54,15 @@ def recover(
     starts = _misses(found)
     if not len(starts):
         return None
-    for spread in _finer(robot, found, starts):
-        finer = scan(robot, scene, found.fruit, *spread, weights=weights, margin=margin, grasp=grasp)
-        best = finer.table.best_row(margin)
+    for angles, slides in _finer(found, starts):
+        finer = scan(found.robot, found.scene, found.fruit, options=found.options, angles=angles, slides=slides)
+        best = finer.table.best_row(found.options.margin)
         if best is not None:
             return Recovered(best, "finer grid")
-    return _climb(robot, scene, found, starts, weights or Weights(), margin, grasp)
+    return _climb(found, starts)
 
 
-def _misses(found: Scan) -> np.ndarray:
+def _misses(found: ScanResult) -> np.ndarray:
     """The nearest misses as rows (angle, leading..., branch): by clearance, then by how little a limit is passed."""
     table = found.table
     order = np.argsort(-table.clearance)[:MISSES]
@@ -76,30 +71,30 @@ def _misses(found: Scan) -> np.ndarray:
     return np.concatenate([close, np.column_stack([found.angles[a], found.leading[s], b])])
 
 
-def _finer(robot: Robot, found: Scan, starts: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Around the few best distinct cells: a tenth of the grid's step, one step to either side."""
+def _finer(found: ScanResult, starts: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Angles and leading values around the few best distinct cells: a tenth of the grid's step, one step to either side."""
     step = 2.0 * np.pi / max(len(found.angles), 2)
     lead = found.leading
     width = np.array([np.min(np.diff(np.unique(c)), initial=np.inf) if len(np.unique(c)) > 1 else 0.0 for c in lead.T])
     fine = np.linspace(-1.0, 1.0, 21)
     cells = np.unique(starts[:, :-1], axis=0, return_index=True)[1]
-    low, high = solver_of(robot).limits()
+    low, high = solver_of(found.robot).limits()
     for row in starts[np.sort(cells)][:4]:
         axes = [np.clip(row[1 + i] + fine * width[i], low[i], high[i]) for i in range(len(low))]
         yield row[0] + fine * step, grid(axes)
 
 
-def _climb(
-    robot: Robot, scene: Scene, found: Scan, starts: np.ndarray, weights: Weights, margin: float, grasp: Grasp | None
-) -> Recovered | None:
-    others = grouped(without_fruit(scene, found.fruit), robot)
+def _climb(found: ScanResult, starts: np.ndarray) -> Recovered | None:
+    """Raises the clearance from each start along its self-motion, until a posture has more than the margin."""
+    robot, options = found.robot, found.options
+    others = grouped(without_fruit(found.scene, found.fruit), robot)
     low, high = solver_of(robot).limits()
     axis = np.asarray(robot.world_T_base[:3, :3].T @ found.fruit.axis)
     branch = starts[:, -1].astype(int)
     rows = np.arange(len(starts))
 
     def solve(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        poses = grasp_poses(robot, found.fruit, u[:, 0], grasp)
+        poses = options.grasp.poses(robot, found.fruit, u[:, 0])
         q, valid, _ = in_blocks(closed_forms(robot), poses.astype(np.float32), u[:, 1:].astype(np.float32))
         return q[rows, branch], valid[rows, branch]
 
@@ -118,12 +113,13 @@ def _climb(
         worth, slope = np.where(better, trial_worth, worth), np.where(better[:, None], trial_slope, slope)
         jacobians = np.where(better[:, None, None], trial_jacobians, jacobians)
         stride = np.where(better, np.minimum(1.5 * stride, 0.3), 0.4 * stride)
-        if np.max(worth) > margin or np.max(stride) < 1e-4:
+        if np.max(worth) > options.margin or np.max(stride) < 1e-4:
             break
-    distance, freedom = measured(robot, scene, found.fruit, q)
+    distance, freedom = measured(robot, found.scene, found.fruit, q)
     inside = np.all((q >= robot.lower) & (q <= robot.upper), axis=1)
-    table = Table(u[:, 0], u[:, 1:], branch, q, np.where(inside, distance, -np.inf), freedom, weights.score(distance, freedom))
-    best = table.best_row(margin)
+    score = options.score(distance, freedom)
+    table = Table(u[:, 0], u[:, 1:], branch, q, np.where(inside, distance, -np.inf), freedom, score)
+    best = table.best_row(options.margin)
     return None if best is None else Recovered(best, "gradient")
 
 
@@ -144,8 +140,8 @@ def _self_motion(jacobians: np.ndarray, slope: np.ndarray, axis: np.ndarray, rob
 
 
 def _with_arm_angle(robot: Robot, q: np.ndarray, arm: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """How the seven solved joints follow (b, 7, m), the arm angle held, with the column of the arm angle itself: along the one
-    motion that leaves the tip where it is, as fast as differences of the angle tell."""
+    """The rates (b, 7, m) by which the seven solved joints follow, the arm angle held, with the column of the arm angle itself:
+    along the one motion that leaves the tip where it is, as fast as differences of the angle tell."""
     solver, given = solver_of(robot), redundancy(robot)
     own = np.linalg.svd(arm)[2][:, -1]
     step = 1e-4

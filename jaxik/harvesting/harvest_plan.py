@@ -1,80 +1,84 @@
-"""What is asked of a harvest in motion, and what becomes of it."""
+"""What is asked of a harvest in motion, what becomes of it, and its motions as one file for controllers and tables."""
 
 from __future__ import annotations
 
-import dataclasses
+import json
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from jaxik.checks.options import as_count, check_choices, check_finite, check_kind, shown
+from jaxik.checks.options import check_choices, check_kind, shown
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
+from jaxik.options import Options, anything, choice, count, instance, number
 from jaxik.planning.trajectory import Trajectory
-from jaxik.reasons import Reason, Reasoned
+from jaxik.planning.trajectory_files import check_ending, joint_points, save_arrays, save_table
+from jaxik.pytree import static
+from jaxik.reasons import Reason
+from jaxik.results import Result, by_row
 
 Order = Literal["shortest", "row"]
 Leaves = Literal["avoid", "brush", "ignore"]
 
 
-@dataclasses.dataclass(frozen=True)
-class HarvestPlanOptions:
-    """How `plan_harvest` picks.
+class HarvestPlanOptions(Options, who="plan_harvest"):
+    """How `plan_harvest` picks."""
 
-    home: where the arm begins and ends (n,); None is 0 of each joint, or the middle of its limits.
-    place: where fruits are let go: configurations (n,) or (p, n), or poses `base_T_tip` (4, 4) or (p, 4, 4) [m] of which `task`
-        is bound, whichever takes least; None lets a fruit go where its retreat ends, into a hose or a tray at the gripper.
-    order: "shortest" by time, "row" from one end of the row to the other, or the fruits' names.
-    leaves: what is removable is an obstacle ("avoid"); or may be touched where there is no other way, which counts as
-        `leaf_time` [s] a leaf ("brush"); or is none ("ignore").
-    approach: length of the straight lines to a fruit and back [m]; half or a quarter of it where no more fits.
-    candidates: postures a fruit that the order may choose from; of 1 it is the best.
-    margin: least clearance on the way [m].
-    velocity, acceleration, rounds: those of `PlanOptions`, for each way.
-    """
+    home: Any = anything(
+        default=None,
+        unit="rad, m",
+        words="where the arm begins and ends (n,); None is 0 of each joint, or mid-range",
+    )
+    place: Any = anything(
+        default=None,
+        words="where fruits are let go: configurations (n,) or (p, n), or poses `base_T_tip` (4, 4) or (p, 4, 4) [m] of which "
+        "`task` is bound, whichever takes least; None lets a fruit go where its retreat ends, into a hose or a tray",
+    )
+    task: Task = instance(default=POSE, kind=Task, words="what of a `place` that is a pose is bound")
+    order: Any = anything(
+        default="shortest", words='"shortest" by time, "row" from one end of the row to the other, or the fruits\' names'
+    )
+    leaves: Leaves = choice(
+        default="avoid",
+        kinds=Leaves,
+        words='what is removable is an obstacle ("avoid"); or may be touched where there is no other way ("brush"); or is none',
+    )
+    leaf_time: float = number(default=2.0, unit="s", least=0.0, words='what a touched leaf counts with "brush"')
+    approach: float = number(
+        default=0.1, unit="m", above=0.0, words="length of the straight lines to a fruit and back; half or a quarter may do"
+    )
+    candidates: int = count(default=16, words="postures a fruit that the order may choose from; of 1 it is the best")
+    margin: float = number(default=0.0, unit="m", words="least clearance on the way")
+    velocity: Any = anything(default=None, words="as in `PlanOptions`, for each way")
+    acceleration: Any = anything(default=None, words="as in `PlanOptions`, for each way")
+    rounds: int = count(default=200, words="as in `PlanOptions`, for each way")
 
-    home: Any = None
-    place: Any = None
-    task: Task = POSE
-    order: Any = "shortest"
-    leaves: Leaves = "avoid"
-    leaf_time: float = 2.0
-    approach: float = 0.1
-    candidates: int = 16
-    margin: float = 0.002
-    velocity: Any = None
-    acceleration: Any = None
-    rounds: int = 200
-
-    def __post_init__(self) -> None:
-        check_choices("plan_harvest", leaves=(self.leaves, Leaves))
+    def check(self) -> None:
         if isinstance(self.order, str):
             check_choices("plan_harvest", order=(self.order, Order))
         elif not isinstance(self.order, list | tuple):
             raise ValueError(f"plan_harvest: order is {shown(self.order)}; allowed: shortest, row, or a list of fruits' names")
-        check_finite("plan_harvest", 0.0, approach=self.approach, leaf_time=self.leaf_time)
-        check_finite("plan_harvest", margin=self.margin)
-        if not self.approach > 0.0:
-            raise ValueError(f"plan_harvest: approach is {self.approach:g}; it is above zero [m]")
-        check_kind("plan_harvest", "task", self.task, Task)
-        for name in ("candidates", "rounds"):
-            object.__setattr__(self, name, as_count(f"plan_harvest: {name}", getattr(self, name)))
 
 
 class Stage(NamedTuple):
     """A motion from rest to rest for the sake of a fruit ("" of the last, which leads home): a "transfer" to where the straight
-    "approach" begins, the "retreat" with the fruit, the "transport" to its place, or "home". It begins at `start` [s]."""
+    "approach" begins, the "retreat" with the fruit, the "transport" to its place, or "home".
+
+    It begins at `start` [s], and touches the `leaves`.
+    """
 
     kind: str
     fruit: str
     start: float
     trajectory: Trajectory
+    leaves: tuple[str, ...] = ()
 
     @property
     def end(self) -> float:
-        """[s]"""
+        """When it ends [s]."""
         return self.start + float(self.trajectory.duration)
 
     @property
@@ -83,54 +87,42 @@ class Stage(NamedTuple):
         return self.kind in ("retreat", "transport")
 
 
-class Cycle(NamedTuple):
-    """What became of a fruit: the posture `q` (n,) [rad, m] that grasps it, its stages, and which leaves they touch. Without
-    stages `q` is NaN, and there is the reason, where that is ("posture", "approach", "retreat", "transfer", "transport",
-    "place"), and what is in the way."""
+class HarvestMotion(Motion):
+    """Samples of all stages, one after another: q, velocity, acceleration (i, n), time (i,), and the number of each one's
+    `stage` (i,)."""
 
-    fruit: str
-    reason: Reason
-    q: np.ndarray
-    where: str = ""
-    stages: tuple[Stage, ...] = ()
-    leaves: tuple[str, ...] = ()
-    blockers: tuple[str, ...] = ()
-
-    @property
-    def success(self) -> bool:
-        return self.reason == Reason.SOLVED
-
-    @property
-    def seconds(self) -> float:
-        """From the end of the cycle before to the end of this; NaN without one."""
-        return self.stages[-1].end - self.stages[0].start if self.stages else np.nan
-
-    @property
-    def why(self) -> str:
-        """The reason in words, and where."""
-        words = f"{self.where}: {self.reason.text}" if self.where else self.reason.text
-        return f"{words} ({', '.join(self.blockers)})" if self.blockers else words
+    velocity: Any = None
+    acceleration: Any = None
+    time: Any = None
+    stage: Any = None
 
 
-@dataclasses.dataclass(frozen=True, repr=False)
-class HarvestPlan(Reasoned):
-    """One row a fruit, in the scene's order; all stages one after another, the way home at last; how long it took to plan [s].
-    It prints as a line a fruit."""
+class HarvestPlan(Result):
+    """One row a fruit, in the scene's order, and all stages one after another, the way home at last; of some of its rows those
+    of their fruits. It prints as a line a fruit.
 
-    robot: Robot
-    scene: Scene
-    rows: tuple[Cycle, ...]
-    stages: tuple[Stage, ...]
-    seconds: float
+    fruit: its name. q (b, n) [rad, m]: the posture that grasps it; NaN of a fruit that is not picked. Of such a fruit, where:
+    "posture", "approach", "retreat", "transfer", "transport" or "place" fails, for the reason; and blockers: what is in the
+    way. seconds: how long it took to plan.
+    """
 
-    @property
-    def reason(self) -> np.ndarray:
-        return np.array([int(row.reason) for row in self.rows])
+    ROW = "fruit"
 
-    @property
-    def q(self) -> np.ndarray:
-        """The posture (b, n) [rad, m] that grasps each fruit; NaN of one that is not picked."""
-        return np.stack([row.q for row in self.rows])
+    fruit: Any = by_row()
+    reason: Any
+    q: Any
+    where: Any = by_row()
+    blockers: Any = by_row()
+    robot: Robot = static()
+    scene: Scene = static()
+    stages: tuple[Stage, ...] = static(default=())
+    seconds: float = static(default=np.nan)
+
+    def __getitem__(self, rows: Any) -> HarvestPlan:
+        """The plan of one fruit, or of those that a slice, mask or list picks, with their stages alone."""
+        picked = super().__getitem__(rows)
+        names = {picked.fruit} if picked.single else set(picked.fruit)
+        return picked._replaced({"stages": tuple(stage for stage in self.stages if stage.fruit in names)})
 
     @property
     def order(self) -> tuple[str, ...]:
@@ -139,8 +131,8 @@ class HarvestPlan(Reasoned):
 
     @property
     def duration(self) -> float:
-        """Of all, from home to home [s]."""
-        return self.stages[-1].end if self.stages else 0.0
+        """How long the stages take, from the first to the last [s]: from home to home, or of one fruit."""
+        return self.stages[-1].end - self.stages[0].start if self.stages else 0.0
 
     @property
     def cycle(self) -> float:
@@ -149,38 +141,60 @@ class HarvestPlan(Reasoned):
 
     @property
     def leaves(self) -> tuple[str, ...]:
-        """Those that are touched."""
-        return tuple(dict.fromkeys(leaf for row in self.rows for leaf in row.leaves))
+        """The leaves that are touched."""
+        return tuple(dict.fromkeys(leaf for stage in self.stages for leaf in stage.leaves))
+
+    def _words(self, reason: Reason, row: int) -> str:
+        where, blockers = (self.where, self.blockers) if self.single else (self.where[row], self.blockers[row])
+        words = f"{where}: {reason.text}" if where else reason.text
+        return f"{words} ({', '.join(blockers)})" if blockers else words
 
     def __repr__(self) -> str:
         number = {name: i for i, name in enumerate(self.order, 1)}
-        fate = lambda row: f"{number[row.fruit]}. in {row.seconds:.2f} s" if row.stages else row.why
-        lines = [f"  {row.fruit}: {fate(row)}" for row in self.rows]
+        fate = lambda row: f"{number[row.fruit]}. in {row.duration:.2f} s" if row.stages else row.why
+        lines = [f"  {row.fruit}: {fate(row)}" for row in self]
         return "\n".join([f"Harvest of {self.scene.name} by {self.robot.name} in {self.duration:.1f} s", *lines])
 
-    def sample(self, period: float) -> Samples:
-        """One a `period` [s], each stage from its beginning on (`Trajectory.sample`). Host."""
+    def sample(self, dt: float = 0.01) -> HarvestMotion:
+        """One sample each `dt` [s], each stage from its beginning on (`Trajectory.sample`). Host."""
         parts, start = [], 0.0
-        for number, stage in enumerate(self.stages):
-            moved = stage.trajectory.sample(period)
-            first = min(number, 1)  # where a stage ends the next one begins
-            each = (start + moved.time, *moved.state, np.full(len(moved.time), number))
-            parts.append(tuple(x[first:] for x in each))
+        for index, stage in enumerate(self.stages):
+            moved = stage.trajectory.sample(dt)
+            each = (*moved.state, start + moved.time, np.full(len(moved.time), index))
+            parts.append(tuple(x[min(index, 1) :] for x in each))  # where a stage ends the next one begins
             start += moved.time[-1]
         n = self.robot.num_joints
-        columns = zip(*parts, strict=True) if parts else ([np.zeros((0, *shape))] for shape in ((), (n,), (n,), (n,), ()))
-        time, q, velocity, acceleration, numbers = (np.concatenate(list(each)) for each in columns)
-        return Samples(time, Motion(q, velocity, acceleration, time), numbers.astype(int))
+        columns = zip(*parts, strict=True) if parts else ([np.zeros((0, *shape))] for shape in ((n,), (n,), (n,), (), ()))
+        q, velocity, acceleration, time, numbers = (np.concatenate(list(each)) for each in columns)
+        return HarvestMotion(q, velocity, acceleration, time, stage=numbers.astype(int))
 
     def gone(self, number: int) -> tuple[str, ...]:
-        """The fruits that are no more where they hung during a stage, the last one in the gripper if the stage carries it."""
+        """The fruits that no longer hang during a stage; the last is in the gripper if the stage carries it."""
         stages = self.stages[: number + 1]
         return tuple(dict.fromkeys(stage.fruit for stage in stages if stage.kind == "retreat"))
 
 
-class Samples(NamedTuple):
-    """Times (i,) [s], states (i, n) [rad, m and s], and the number (i,) of the stage that each belongs to."""
+def save_harvest(plan: HarvestPlan, path: str | Path, *, dt: float = 0.01) -> Path:
+    """Writes all stages of a plan, one after another, a sample each `dt` [s]. Returns the file's path. Host.
 
-    time: np.ndarray
-    state: Motion
-    stage: np.ndarray
+    A `.csv` has time, fruit and stage, and a column a quantity and joint; an `.npz` time (i,), fruit, stage, q, velocity and
+    acceleration (i, n), joint_names; a `.json` is a list of stages with the fields of ROS' `trajectory_msgs/JointTrajectory`,
+    each from its own beginning.
+
+    Raises `ValueError` for another ending and unless `dt` is a positive number.
+    """
+    check_kind("save_harvest", "plan", plan, HarvestPlan)
+    path, names = check_ending("save_harvest", path), list(plan.robot.joint_names)
+    if path.suffix.lower() == ".json":
+        stages = [
+            {"fruit": s.fruit, "stage": s.kind, "joint_names": names, "points": joint_points(s.trajectory.sample(dt))}
+            for s in plan.stages
+        ]
+        path.write_text(json.dumps(stages))
+        return path
+    motion = plan.sample(dt)
+    of_stage = lambda name: np.array([getattr(stage, name) for stage in plan.stages])[motion.stage]
+    words = {"fruit": of_stage("fruit"), "stage": of_stage("kind")}
+    write = save_arrays if path.suffix.lower() == ".npz" else save_table
+    write(path, motion, names, words)
+    return path

@@ -1,13 +1,14 @@
 """A whole harvest in motion: to each fruit and away with it, in an order that takes little time.
 
-The points of a round are where the arm is, where the lines of each way to pick a fruit begin and end, and the places. What a
-leg between two of them takes is estimated for all pairs at once, as if it were straight, and planned only if a shortest tour
-has it; then the tour is found again, until it has nothing that is not planned (as LazySP does for paths [Dellin and Srinivasa
-2016]). What is not picked in one round is tried in the next, where the fruits before are gone.
+The points of a round are where the arm is, where the lines of each way to pick a fruit begin and end, and the places. The time
+of a leg between two of them is estimated for all pairs at once, as if it were straight, and planned only if a shortest tour has
+it; then the tour is found again, until all of it is planned (as LazySP does for paths [Dellin and Srinivasa 2016]). Fruits that
+are not picked in one round are tried in the next, where the fruits before are gone.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -15,11 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.checks.arrays import numbers
-from jaxik.checks.options import changed, check_kind, check_seed, no_such
+from jaxik.checks.options import check_kind, check_seed, no_such
 from jaxik.collision.scene import Mark, Scene
 from jaxik.collision.self_collision_pairs import default_pose
-from jaxik.harvesting.driver import Harvest, Posture
-from jaxik.harvesting.harvest_plan import Cycle, HarvestPlan, HarvestPlanOptions, Stage
+from jaxik.harvesting.driver import HarvestResult
+from jaxik.harvesting.harvest_plan import HarvestPlan, HarvestPlanOptions, Stage
 from jaxik.harvesting.picks import Picks, Way, ends, find_picks, rows_of
 from jaxik.harvesting.tour import best_members, shortest_tour
 from jaxik.kinematics.robot import Robot
@@ -40,10 +41,11 @@ PERIOD = 0.02  # [s] between samples that are asked which leaves they touch
 
 
 def plan_harvest(
-    harvested: Harvest,
-    options: HarvestPlanOptions | None = None,
+    harvest: HarvestResult,
+    *,
     seed: int = 0,
-    progress: Callable[[str], Any] | None = None,
+    options: HarvestPlanOptions | None = None,
+    progress: Callable[[int, int], Any] | None = None,
     **changes: Any,
 ) -> HarvestPlan:
     """Motions that pick, one after another, the fruits of a harvest, and end where they began. Host driver.
@@ -54,22 +56,21 @@ def plan_harvest(
     fruit where it hangs is no obstacle to it on the retreat. A fruit that is picked is gone for those after it. The order, and
     of each fruit the posture, are the shortest tour by estimated times, planned, and found again with what was planned, until
     it stays. Fruits that cannot be picked at first are tried again when others are gone. `changes` are fields of
-    `HarvestPlanOptions`; `progress` is called with the name of each fruit whose approaches were looked for.
+    `HarvestPlanOptions`; `progress` is called with the numbers of fruits whose approaches were looked for, and of all.
 
     Reasons: SOLVED; what `harvest` says of a fruit without a posture; COLLISION, LIMITS of all approaches, or retreats, from
-    all postures; those of `plan_motion` for a transfer or transport; in `Cycle.where` is which. Raises `ValueError` for
+    all postures; those of `plan_motion` for a transfer or transport; `where` says which. Raises `ValueError` for
     arguments of a wrong shape, name or range, a home or a place that is not free, and without PyVRP (extra `harvest`) for the
     shortest order. Sources: Suarez-Ruiz et al., RoboTSP, 2018; Wouda et al., PyVRP, 2024.
     """
-    check_kind("plan_harvest", "harvested", harvested, Harvest)
-    check_kind("plan_harvest", "options", options, HarvestPlanOptions, optional=True)
+    check_kind("plan_harvest", "harvest", harvest, HarvestResult)
+    options = HarvestPlanOptions.chosen(options, changes)
     check_seed("plan_harvest", seed)
-    options = changed("plan_harvest", options or HarvestPlanOptions(), changes)
     began = time.perf_counter()
-    planner = _Planner(harvested, options, seed)
-    planner.run(progress or (lambda name: None))
-    rows = tuple(planner.cycles[row.fruit] for row in harvested.rows)
-    return HarvestPlan(harvested.robot, harvested.scene, rows, tuple(planner.stages), time.perf_counter() - began)
+    planner = _Planner(harvest, options, seed)
+    planner.run(progress or (lambda done, total: None))
+    plan = HarvestPlan.stacked([planner.rows[row.fruit] for row in harvest])
+    return dataclasses.replace(plan, stages=tuple(planner.stages), seconds=time.perf_counter() - began)
 
 
 class _Surroundings:
@@ -89,20 +90,20 @@ class _Surroundings:
 
 
 class _Planner:
-    """Of one harvest: `run` fills in the `cycles`, by fruit, and the `stages`."""
+    """Plans one harvest: `run` fills in the `rows`, by fruit, and the `stages`."""
 
-    def __init__(self, harvested: Harvest, options: HarvestPlanOptions, seed: int):
-        self.harvested, self.options, self.seed = harvested, options, seed
-        self.robot, scene, asked = harvested.robot, harvested.scene, harvested.options
+    def __init__(self, harvest: HarvestResult, options: HarvestPlanOptions, seed: int):
+        self.harvest, self.options, self.seed = harvest, options, seed
+        self.robot, scene, asked = harvest.robot, harvest.scene, harvest.options
         self.around = _Surroundings(scene, options.leaves)
-        self.motion = PlanOptions(options.margin, options.velocity, options.acceleration, options.rounds)
+        self.motion = PlanOptions(**{name: getattr(options, name) for name in ("margin", "velocity", "acceleration", "rounds")})
         self.limits = motion_limits("plan_harvest", self.robot, self.motion)
         clear = max(options.margin, asked.margin)
         self.way = Way(asked.grasp, options.approach, options.candidates, options.margin, clear, self.limits)
         self.rank = _ranks(scene.marks, options.order)  # from which the shortest order is looked for, too
         self.home = self.free("home", default_pose(self.robot) if options.home is None else options.home)[0]
         self.places = np.empty((0, len(self.home))) if options.place is None else self.free("place", options.place)
-        self.cycles: dict[str, Cycle] = {}
+        self.rows: dict[str, HarvestPlan] = {}
         self.stages: list[Stage] = []
 
     def free(self, name: str, given: Any) -> np.ndarray:
@@ -126,16 +127,16 @@ class _Planner:
             raise ValueError(f"plan_harvest: {name}: {Reason(int(verdict[0]))}; give {name}=, free and within the limits")
         return asked.reshape(-1, n)[verdict == Reason.SOLVED]
 
-    def run(self, progress: Callable[[str], Any]) -> None:
-        """Rounds, until nothing more can be picked; and home."""
-        left, at, homeward = list(self.harvested.rows), self.home, None
+    def run(self, progress: Callable[[int, int], Any]) -> None:
+        """Plans rounds, until nothing more can be picked; and home."""
+        left, at, homeward = list(self.harvest), self.home, None
         while left:
             gone, picks = frozenset(stage.fruit for stage in self.stages), []
             for row in left:
                 picks.append(self.picks(row, gone))
                 if not gone:
-                    progress(row.fruit)
-            self.cycles |= {p.fruit: self.failed(p.fruit, p.reason, p.where, p.blockers) for p in picks}
+                    progress(len(picks), len(left))
+            self.rows |= {p.fruit: self.row(p.fruit, p.reason, p.where, p.blockers) for p in picks}
             tour = _Tour(self, at, [p for p in picks if p.reason == Reason.SOLVED], gone)
             nodes, motions = tour.planned()
             if not nodes:
@@ -148,7 +149,7 @@ class _Planner:
         if homeward is not None:
             self.add("home", "", homeward)
 
-    def picks(self, row: Posture, gone: frozenset[str]) -> Picks:
+    def picks(self, row: HarvestResult, gone: frozenset[str]) -> Picks:
         """The ways to pick a fruit among what is left, with as much care as is possible."""
         table = row.scan.table
         best_first = np.argsort(-table.score, kind="stable")
@@ -172,41 +173,39 @@ class _Planner:
         return touched(arm, others, q, 0.0) & self.around.removable
 
     def counted(self, found: Picks) -> Picks:
-        """With how many leaves are touched on the lines of each row."""
+        """Adds how many leaves are touched on the lines of each row."""
         there, back = (moved.path.coefficients[:, :, 3] for moved in (found.approach, found.retreat))
         hit = lambda arm, q: self.leaves(arm, q, found.fruit).any(axis=0)
         rows = zip(found.held, there, back, strict=True)
         return found._replace(touched=np.array([np.sum(hit(self.robot, a) | hit(arm, b)) for arm, a, b in rows]))
 
     def drive(self, tour: _Tour, nodes: Sequence[int], motions: list[Trajectory]) -> None:
-        """The stages and cycles of a tour."""
+        """Adds the stages and rows of a tour."""
         for node in nodes:
             fruit, (picks, row) = tour.fruit(node), tour.members[node - 1]
             lines = [rows_of(moved, row) for moved in (picks.approach, picks.retreat)]
             parts = [("transfer", motions.pop(0)), *zip(("approach", "retreat"), lines, strict=True)]
             if len(self.places):
                 parts.append(("transport", motions.pop(0)))
-            stages = tuple(self.add(kind, fruit, moved) for kind, moved in parts)
-            q, leaves = ends(lines[0])[1], self.brushed(stages, picks.held[row])
-            self.cycles[fruit] = Cycle(fruit, Reason.SOLVED, q, "", stages, leaves)
+            for kind, moved in parts:
+                self.add(kind, fruit, moved, picks.held[row])
+            self.rows[fruit] = self.row(fruit, Reason.SOLVED, q=ends(lines[0])[1])
 
-    def failed(self, fruit: str, reason: Reason, where: str, blockers: tuple[str, ...] = ()) -> Cycle:
-        """A cycle without motions."""
-        return Cycle(fruit, reason, np.full(len(self.home), np.nan), where, blockers=blockers)
+    def row(
+        self, fruit: str, reason: Reason, where: str = "", blockers: tuple[str, ...] = (), q: np.ndarray | None = None
+    ) -> HarvestPlan:
+        """The row of a fruit, by the posture that grasps it if there is one."""
+        q = np.full(len(self.home), np.nan) if q is None else q
+        return HarvestPlan(fruit, reason, q, where, blockers, self.robot, self.harvest.scene)
 
-    def brushed(self, stages: Sequence[Stage], held: Robot) -> tuple[str, ...]:
-        """The names of the leaves that are touched."""
-        if self.options.leaves == "avoid":
-            return ()
-        hit = np.zeros(len(self.around.removable), bool)
-        for stage in stages:
-            q = np.asarray(stage.trajectory.sample(PERIOD).q)
-            hit |= self.leaves(held if stage.carries else self.robot, q, stage.fruit).any(axis=0)
-        return tuple(name for name, one in zip(self.around.scene.object_names, hit, strict=True) if one)
-
-    def add(self, kind: str, fruit: str, trajectory: Trajectory) -> Stage:
-        self.stages.append(Stage(kind, fruit, self.stages[-1].end if self.stages else 0.0, trajectory))
-        return self.stages[-1]
+    def add(self, kind: str, fruit: str, trajectory: Trajectory, held: Robot | None = None) -> None:
+        """Adds a stage, with the names of the leaves that are touched."""
+        stage = Stage(kind, fruit, self.stages[-1].end if self.stages else 0.0, trajectory)
+        if fruit and self.options.leaves != "avoid":
+            arm = held if held is not None and stage.carries else self.robot
+            hit = self.leaves(arm, np.asarray(trajectory.sample(PERIOD).q), fruit).any(axis=0)
+            stage = stage._replace(leaves=tuple(self.around.scene.object_names[i] for i in np.flatnonzero(hit)))
+        self.stages.append(stage)
 
 
 class _Leg(NamedTuple):
@@ -235,11 +234,11 @@ class _Tour:
         self.failures: dict[str, int] = {}
 
     def fruit(self, node: int) -> str:
-        """That is picked at a node; "" at others."""
+        """The fruit that is picked at a node; "" at others."""
         return self.members[node - 1][0].fruit if 0 < node < self.nodes else ""
 
     def estimated(self) -> np.ndarray:
-        """What each leg takes, as if it were straight [s]."""
+        """The time that each leg takes, as if it were straight [s]."""
         planner = self.planner
         seconds = planner.limits.straight(self.ends[None] - self.begins[:, None])
         space = CollisionChecker(planner.robot, planner.around.each(self.gone)[0], planner.options.margin)
@@ -248,7 +247,7 @@ class _Tour:
         return np.where(part < 1.0, DETOUR, 1.0) * seconds
 
     def costs(self) -> tuple[np.ndarray, np.ndarray]:
-        """From node to node [s], and by which place."""
+        """The costs from node to node [s], and by which place."""
         m, seconds = self.nodes, self.seconds
         direct = seconds[:m, :m].copy()
         place = np.full((m, m), -1)
@@ -324,8 +323,8 @@ class _Tour:
         return _Leg(None, moved.reason, gone)
 
     def leave_out(self, legs: dict[tuple[int, int], _Leg], last: str, at_once: bool) -> None:
-        """The fruits to or from which a leg has no motion: when that is found for the third time, or at once. The way home is
-        that of the `last` one."""
+        """Leaves out the fruits to or from which a leg has no motion: when that is found for the third time, or at once. The
+        way home is the leg of the `last` one."""
         for (a, b), leg in legs.items():
             fruit = self.fruit(b) or self.fruit(a) or last
             if leg.trajectory is None and fruit in self.groups:
@@ -333,7 +332,7 @@ class _Tour:
                 if at_once or self.failures[fruit] >= GIVEN_UP:
                     del self.groups[fruit]
                     where = "transfer" if self.fruit(b) else "transport"
-                    self.planner.cycles[fruit] = self.planner.failed(fruit, leg.reason, where)
+                    self.planner.rows[fruit] = self.planner.row(fruit, leg.reason, where)
 
 
 def _length(costs: np.ndarray, nodes: Sequence[int]) -> float:

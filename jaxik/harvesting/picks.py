@@ -19,12 +19,12 @@ from jaxik.analytic.families import redundancy
 from jaxik.analytic.solutions import closed_forms
 from jaxik.collision.attached import attach
 from jaxik.collision.scene import Mark, Scene
-from jaxik.harvesting.grasp import Grasp, grasp_poses
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker, touched
 from jaxik.planning.limits import Limits
 from jaxik.planning.timing import time_optimal
 from jaxik.planning.trajectory import JointPath, Trajectory
+from jaxik.reach.grasp import Grasp
 from jaxik.reasons import Reason
 from jaxik.spmd.batch import in_blocks
 
@@ -65,7 +65,7 @@ class Picks(NamedTuple):
 
 
 class Way(NamedTuple):
-    """What decides how a fruit may be picked: see `HarvestPlanOptions`. `clear` is the margin of the grasp itself."""
+    """The options of how a fruit may be picked: see `HarvestPlanOptions`. `clear` is the margin of the grasp itself."""
 
     grasp: Grasp
     approach: float
@@ -90,7 +90,7 @@ def find_picks(robot: Robot, scene: Scene, fruit: Mark, angles: np.ndarray, q: n
     kept = ~free.hits(q, way.clear - way.margin)
     if not kept.any():
         return Picks(fruit.name, Reason.COLLISION, "posture")
-    found = _approaches(free, whole, q[kept], grasp_poses(robot, fruit, angles[kept], way.grasp), way)
+    found = _approaches(free, whole, q[kept], way.grasp.poses(robot, fruit, angles[kept]), way)
     if found.reason != Reason.SOLVED:
         return Picks(fruit.name, found.reason, "approach")
     both, held, most = [], [], way.candidates
@@ -121,7 +121,7 @@ class _Approaches(NamedTuple):
 
 
 def _approaches(free: CollisionChecker, whole: CollisionChecker, q: np.ndarray, poses: np.ndarray, way: Way) -> _Approaches:
-    """Of grasps `q` (b, n), a few that differ much, all proven; where they begin, the fruit itself is an obstacle, too."""
+    """A few of the grasps `q` (b, n) that differ much, all proven; where they begin, the fruit itself is an obstacle, too."""
     reason = Reason.LIMITS
     for length in way.approach * SHORTER:
         lines, fits = tip_lines(free.robot, q, poses, -np.array(way.grasp.approach), length)
@@ -247,5 +247,5 @@ def _driven(lines: np.ndarray, length: float, *spaces: CollisionChecker) -> tupl
 
 
 def rows_of(tree: Any, rows: Any) -> Any:
-    """Of stacked arrays."""
+    """The rows of stacked arrays."""
     return jax.tree_util.tree_map(lambda x: x[rows], tree)

@@ -2,54 +2,47 @@
 
 Van Henten et al. (2010, sec. 4) scan in two steps: the angle of the last three links first, then the slide at that angle.
 Here the superset is scanned at once (every angle with every slide position and all eight branches), because in a batch it
-costs less than deciding what to leave out. Where the
-grid has no posture, `grid_refinement` looks between its points, which is what the paper left open.
+costs less than deciding what to leave out. Where the grid has no posture, `grid_refinement` looks between its points, which the
+paper left open.
 
 The drivers of this module run on the host: they chunk, pad to one shape, and drop candidates as soon as they are out.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import functools
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxik.analytic.families import scan_obstacle
 from jaxik.analytic.solutions import BRANCHES, closed_branches, valid_branches
-from jaxik.checks.options import check_finite, check_kind
+from jaxik.checks.options import check_kind, no_such
 from jaxik.collision.bvh import grouped
-from jaxik.collision.clearances import check_geometry, clearance
+from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Mark, Scene, remembered
-from jaxik.costs import joint_limit_margin
-from jaxik.harvesting.grasp import Grasp, approach_grid, grasp_poses
+from jaxik.harvesting.blocking_objects import Blockers, Touched, touched_sets
 from jaxik.kinematics.robot import Robot
+from jaxik.options import anything, instance
+from jaxik.pytree import static
+from jaxik.reach.grasp import Grasp, approach_grid
 from jaxik.reach.leading_joints import leading_grid
+from jaxik.reach.ranking import PostureOptions, measures
 from jaxik.reasons import Reason
-from jaxik.spmd import HostKernel
+from jaxik.results import Result
 from jaxik.spmd.batch import in_blocks
 
+MISSES = 16  # candidates that recovery starts from
 
-@dataclasses.dataclass(frozen=True)
-class Weights:
-    """What makes a posture good: `clearance * min(D, reach)/reach + freedom * F`, both shares in [0, 1].
 
-    D is the clearance [m], F the freedom of the least free joint (`costs.joint_limit_margin`); `reach` is the distance beyond
-    which more clearance is worth nothing, 75 mm as in (6) of Van Henten et al. 2010.
-    """
+class ScanOptions(PostureOptions, who="scan"):
+    """Which candidates `scan` tries, which of them count, and how they are ranked: `PostureOptions`."""
 
-    clearance: float = 1.0
-    freedom: float = 0.5
-    reach: float = 0.075
-
-    def __post_init__(self) -> None:
-        check_finite("weights", **dataclasses.asdict(self))
-        if not (self.clearance >= 0.0 and self.freedom >= 0.0 and self.reach > 0.0):
-            raise ValueError(f"weights {self}: clearance and freedom are >= 0 and reach > 0, all finite numbers")
-
-    def score(self, clearance: np.ndarray, freedom: np.ndarray) -> np.ndarray:
-        return self.clearance * np.clip(clearance, 0.0, self.reach) / self.reach + self.freedom * np.clip(freedom, 0.0, 1.0)
+    angles: Any = anything(default=72, unit="rad", words="approach angles about the fruit's axis, a count or the values (m,)")
+    slides: Any = anything(
+        default=41, unit="m, rad", words="positions of each leading joint, a count, or the values (m, k), of one slide (m,) too"
+    )
+    grasp: Grasp = instance(default=Grasp(), kind=Grasp, words="how the tip meets a fruit")
 
 
 class Table(NamedTuple):
@@ -74,10 +67,12 @@ class Table(NamedTuple):
         return None if best is None else Table(*(column[best : best + 1] for column in self))
 
 
-class Scan(NamedTuple):
-    """A scanned fruit: the grid, the fate of every candidate as a `Reason`, (angles, leading, branches), and the table.
+class ScanResult(Result):
+    """A scanned fruit; it is true if a candidate is SOLVED.
 
-    `near_limits` are the valid candidates that miss the limits by least, as (angle, leading, branch) indices.
+    angles (a,) [rad] and leading (m, k) [m, rad] are the grid; status (a, m, 8) the fate of every candidate as a `Reason`;
+    table (`q`, `clearance`, `score`, ...) those inside the limits. near_limits (e, 3) are the valid candidates that miss the
+    limits by least, as (angle, leading, branch) indices.
     """
 
     fruit: Mark
@@ -86,6 +81,9 @@ class Scan(NamedTuple):
     status: np.ndarray
     table: Table
     near_limits: np.ndarray
+    robot: Robot = static()
+    scene: Scene = static()
+    options: ScanOptions = static()
 
     @property
     def reason(self) -> Reason:
@@ -93,63 +91,57 @@ class Scan(NamedTuple):
         nearest_first = (Reason.SOLVED, Reason.COLLISION, Reason.LIMITS)
         return next((reason for reason in nearest_first if np.any(self.status == reason)), Reason.OUT_OF_REACH)
 
+    def touched(self) -> Touched:
+        """What its candidates touch. Host driver."""
+        others = without_fruit(self.scene, self.fruit)
+        return touched_sets(self.robot, self.scene, others, self.table.q, self.options.margin)
 
-# --------------------------------------------------------------------------------------------------------------------
-# Compiled once a robot
+    def blockers(self, pickable: Collection[str] = ()) -> Blockers:
+        """Which objects stand in the way of the fruit, and the least that has to go for a posture of its table. Host driver.
+
+        Leaves may go, and the fruits that you say are `pickable` themselves, by their names: the answer is the set with the
+        fewest leaves, then with the fewest fruits, then with the most clearance to what stays. `harvest` finds which fruits of
+        a scene are pickable. Raises `ValueError` for a name that no fruit has.
+        """
+        names = [fruit.name for fruit in self.scene.marks]
+        pickable = [pickable] if isinstance(pickable, str) else pickable
+        for name in pickable:
+            if name not in names:
+                raise ValueError(no_such("blockers: pickable", "fruit", str(name), names))
+        return self.touched().opened(pickable)
 
 
-@functools.lru_cache(maxsize=64)
-def measures(robot: Robot) -> HostKernel:
-    """A batch of clearances [m] and freedoms: (q, scene)."""
-    return HostKernel(lambda q, scene: (clearance(robot, scene, q), joint_limit_margin(robot, q)), 1)
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# The scan
-
-
-def scan(
-    robot: Robot,
-    scene: Scene,
-    fruit: Mark,
-    angles: Any = 72,
-    slides: Any = 41,
-    weights: Weights | None = None,
-    margin: float = 0.005,
-    grasp: Grasp | None = None,
-) -> Scan:
+def scan(robot: Robot, scene: Scene, fruit: Mark, *, options: ScanOptions | None = None, **changes: Any) -> ScanResult:
     """All candidates for a fruit: approach angles x leading joints x branches, with limits, clearance and freedom. Host driver.
 
-    `angles` and `slides` are counts or the values themselves, (m,) [rad] and (m, k) [m, rad]; of one slide (m,) too. The fruit
-    itself is no obstacle. A candidate is SOLVED in `status` with at least `margin` [m] of clearance.
+    The fruit itself is no obstacle. A candidate is SOLVED in `status` with at least `margin` [m] of clearance. `changes` are
+    fields of `ScanOptions` by name.
 
     Raises `ValueError` where the robot has no closed form, or nothing to collide with, for what is neither a count nor values,
-    and for a fruit, weights, grasp or margin that is none.
+    and for another kind of fruit or option.
     """
+    options = ScanOptions.chosen(options, changes)
     check_kind("scan", "fruit", fruit, Mark)
-    check_kind("scan", "weights", weights, Weights, optional=True)
-    check_kind("scan", "grasp", grasp, Grasp, optional=True)
-    check_finite("scan", margin=margin)
+    check_kind("scan", "scene", scene, Scene)
     reason = scan_obstacle(robot)
     if reason:
         raise ValueError(f"{robot.name}: a scan needs the closed form, and {reason}")
     check_geometry(robot)
-    at = approach_grid(angles)
-    lead = leading_grid(robot, slides)
-    poses = grasp_poses(robot, fruit, at, grasp)
+    at = approach_grid(options.angles)
+    lead = leading_grid(robot, options.slides)
     shape = (len(at), len(lead), BRANCHES)
-    q, status, rows, near = _candidates(robot, poses, lead)
+    q, status, rows, near = _candidates(robot, options.grasp.poses(robot, fruit, at), lead)
     distance, freedom = measured(robot, scene, fruit, q)
-    status[rows] = np.where(distance >= margin, Reason.SOLVED, Reason.COLLISION)
+    status[rows] = np.where(distance >= options.margin, Reason.SOLVED, Reason.COLLISION)
     angle, position, branch = np.unravel_index(rows, shape)
-    score = (weights or Weights()).score(distance, freedom)
-    table = Table(at[angle], lead[position], branch, q, distance, freedom, score)
-    return Scan(fruit, at, lead, status.reshape(shape), table, np.stack(np.unravel_index(near, shape), axis=-1))
+    table = Table(at[angle], lead[position], branch, q, distance, freedom, options.score(distance, freedom))
+    misses = np.stack(np.unravel_index(near, shape), axis=-1)
+    return ScanResult(fruit, at, lead, status.reshape(shape), table, misses, robot, scene, options)
 
 
 def _candidates(robot: Robot, poses: np.ndarray, lead: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of all poses at all leading positions: postures inside the limits, the status of all candidates, the rows of those
-    inside, and the nearest past the limits. All are asked which branches have the pose; only these are solved."""
+    """Solves all poses at all leading positions. Returns the postures inside the limits, the status of all candidates, the rows
+    of those inside, and the nearest past the limits. All are asked which branches have the pose; only these are solved."""
     poses, leading, count = poses.astype(np.float32), lead.astype(np.float32), len(lead)
     cell = lambda pair: (poses.take(pair // count, axis=0), leading.take(pair % count, axis=0))
     pairs = np.arange(len(poses) * count, dtype=np.int32)
@@ -165,9 +157,6 @@ def _candidates(robot: Robot, poses: np.ndarray, lead: np.ndarray) -> tuple[np.n
     return q[within], status, valid[within], near
 
 
-MISSES = 16  # candidates that recovery starts from
-
-
 def without_fruit(scene: Scene, fruit: Mark) -> Scene:
     """The scene without the fruit that is being picked."""
     own = [name for name in scene.object_names if name == fruit.name]
@@ -175,7 +164,7 @@ def without_fruit(scene: Scene, fruit: Mark) -> Scene:
 
 
 def measured(robot: Robot, scene: Scene, fruit: Mark, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Clearance [m] and freedom of postures (N, n) that pick the fruit, which is no obstacle."""
+    """Clearance [m] and freedom of postures (N, n) that pick the fruit, which is no obstacle. Host driver."""
     if not len(q):
         return np.zeros(0), np.zeros(0)
     distance, freedom = in_blocks(measures(robot), q, fixed=(grouped(without_fruit(scene, fruit), robot),))

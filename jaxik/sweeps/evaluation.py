@@ -18,13 +18,13 @@ from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.scene import Scene, remembered
 from jaxik.collision.scene_builder import make_scene
 from jaxik.costs import joint_limit_margin
-from jaxik.harvesting.scanning import measures
 from jaxik.ik.solutions import first_most
 from jaxik.ik.solve import IKResult, as_poses, solved
 from jaxik.kinematics.forward import manipulability, pose_errors
 from jaxik.kinematics.robot import Robot
 from jaxik.reach.certify import beyond, certify
 from jaxik.reach.leading_joints import NOTHING, arm_of, freest, grid, leading_grid
+from jaxik.reach.ranking import measures
 from jaxik.reasons import Reason
 from jaxik.spatial.algebra import traced
 from jaxik.spmd import HostKernel
@@ -336,7 +336,7 @@ def _avoid(
     touched = owner[np.diff(owner, prepend=-1) != 0]
     best.solutions[touched] = np.bincount(owner[clear], minlength=len(poses))[touched]
     best.reason[touched] = np.where(best.solutions[touched] > 0, Reason.SOLVED, Reason.COLLISION)
-    first = clear[first_most(owner[clear], study.weights.score(distance[clear], freedom[clear]))]
+    first = clear[first_most(owner[clear], study.wanted.score(distance[clear], freedom[clear]))]
     best.leading[owner[first]], best.branch[owner[first]] = leading[pair[first]], branch[first]
     best.clearance[owner[first]] = distance[first]
     hits = np.flatnonzero(best.reason[owner] == Reason.COLLISION)

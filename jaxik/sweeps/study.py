@@ -19,9 +19,9 @@ import jaxik
 from jaxik.analytic.families import scannable
 from jaxik.collision.scene import Scene
 from jaxik.files.robot_toml import Table, read_toml
-from jaxik.harvesting.scanning import Weights
 from jaxik.ik.options import IKOptions
 from jaxik.kinematics.robot import Robot
+from jaxik.reach.ranking import PostureOptions
 from jaxik.sweeps.robot_variants import Variant, variant_name
 from jaxik.sweeps.targets import Targets
 
@@ -47,7 +47,7 @@ class Study:
     scene: Scene | None
     collision: bool
     margin: float
-    weights: Weights
+    wanted: PostureOptions
     slides: int
     refine: int
     seed: int
@@ -101,7 +101,7 @@ class Study:
             "targets": self.targets.describe(),
             "scene": None if self.scene is None else f"{self.scene.name} {_digest(self.scene)}",
             "crops": [_digest(s) for s in self.targets.scenes] if self.collision else [],
-            "weights": dataclasses.asdict(self.weights),
+            "wanted": dataclasses.asdict(self.wanted),
             **{name: getattr(self, name) for name in OWN},
             "ik": {k: getattr(self.ik, k) for k in (*IK_KEYS, "position_tolerance", "rotation_tolerance")},
             "versions": {module.__name__: module.__version__ for module in (jaxik, jax, np)},

@@ -15,12 +15,13 @@ from jaxik.files import load, load_scene
 from jaxik.files.robot_toml import UNITS, Table
 from jaxik.files.targets import read_targets
 from jaxik.fitting.capsules import Fit
-from jaxik.harvesting.grasp import Grasp
-from jaxik.harvesting.scanning import Weights
 from jaxik.ik.options import IKOptions
 from jaxik.kinematics.reach_bound import millimetres
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
+from jaxik.options import fields
+from jaxik.reach.grasp import Grasp
+from jaxik.reach.ranking import PostureOptions
 from jaxik.spatial.rotations import frame, from_rpy
 from jaxik.sweeps import targets as sources
 from jaxik.sweeps.robot_variants import all_variants, read_shapes
@@ -126,15 +127,16 @@ def _bases(table: Table) -> list[tuple[str, np.ndarray]]:
     ]
 
 
-def _collision(table: Table, folder: Path) -> tuple[Scene | None, float, Weights]:
+def _collision(table: Table, folder: Path) -> tuple[Scene | None, float, PostureOptions]:
     row = table.table("collision")
     row.asked.add("scene")
     scene = row.content.get("scene")
     if scene is not None and not isinstance(scene, Scene):
         scene = load_scene(_file(folder, row.text("scene")))
-    margin = float(row.finite("margin", (), unit="length", default=0.005))
-    weights = {name: float(row.finite(name, (), default=usual)) for name, usual in vars(Weights()).items()}
-    return scene, margin, _made(row, "change them", Weights, **weights)
+    units = {name: "length" if field.unit == "m" else "plain" for name, field in fields(PostureOptions).items()}
+    usual = PostureOptions()
+    wanted = {name: float(row.finite(name, (), unit=unit, default=getattr(usual, name))) for name, unit in units.items()}
+    return scene, wanted["margin"], _made(row, "change them", PostureOptions, **wanted)
 
 
 def _grasp(table: Table) -> Grasp:

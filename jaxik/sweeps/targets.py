@@ -13,10 +13,10 @@ import numpy as np
 
 from jaxik.collision.scene import Scene
 from jaxik.files.targets import as_frames
-from jaxik.harvesting.crop import cucumber_row, trellis_crop
-from jaxik.harvesting.grasp import Grasp, across, approach_grid, fruit_frames
+from jaxik.harvesting.crop import make_row, trellis_crop
 from jaxik.kinematics.reach_bound import reach_bound
 from jaxik.kinematics.robot import Robot
+from jaxik.reach.grasp import Grasp, across
 from jaxik.spatial.rotations import to_wxyz
 
 KINDS = ("grid", "voxels", "file", "crop")
@@ -139,14 +139,11 @@ def rotations(along: np.ndarray, rolls: np.ndarray, grasp: Grasp) -> np.ndarray:
 
     At roll 0 the tool's `up` lies as near to the frame's z as the approach lets it (to x where the approach is vertical).
     """
-    tool = np.stack([grasp.up, grasp.approach, np.cross(grasp.up, grasp.approach)], axis=-1)
     found = []
     for approach in along / np.linalg.norm(along, axis=1, keepdims=True):
         up = across(approach, (0.0, 0.0, 1.0))
         side = np.cross(up, approach)
-        for roll in rolls:
-            turned = np.cos(roll) * up - np.sin(roll) * side
-            found.append(np.stack([turned, approach, np.cross(turned, approach)], axis=-1) @ tool.T)
+        found += [grasp.rotations(np.cos(roll) * up - np.sin(roll) * side, approach) for roll in rolls]
     return np.array(found).reshape(-1, 3, 3)
 
 
@@ -165,10 +162,10 @@ def voxels(robots: list[Robot], size: float) -> tuple[np.ndarray, ...]:
 
 def from_crops(kind: str, count: int, angles: int, seed: int, grasp: Grasp) -> Targets:
     """All fruits of `count` crops of one kind, each approached from `angles` directions around its axis."""
-    make = cucumber_row if kind == "cucumber_row" else lambda seed: trellis_crop(kind, seed)
-    crops, around = [make(seed + number) for number in range(count)], approach_grid(angles)
+    make = make_row if kind == "cucumber_row" else lambda seed: trellis_crop(kind, seed)
+    crops = [make(seed + number) for number in range(count)]
     picked = [(scene, fruit) for scene in crops for fruit in scene.marks]
-    poses = np.concatenate([fruit_frames(fruit, around, grasp) for _, fruit in picked])
+    poses = np.concatenate([grasp.frames(fruit, angles) for _, fruit in picked])
     scenes = tuple(scene.without([fruit.name]) for scene, fruit in picked)  # the fruit that is picked is no obstacle
     crop = np.repeat(np.arange(len(scenes)), angles)
     return Targets("crop", "world", np.zeros((0, 3, 3)), poses=poses, scenes=scenes, crop=crop)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from jaxik.harvesting.driver import Harvest
+from jaxik.harvesting.driver import HarvestResult
 from jaxik.view.harvest_picture import fate, posture
 from jaxik.view.palette import marked
 from jaxik.view.stage import Stage
@@ -13,9 +13,9 @@ from jaxik.view.stage import Stage
 class FruitList:
     """The controls of the list. The first fruit that can be picked is shown."""
 
-    def __init__(self, page: Stage, harvest: Harvest):
+    def __init__(self, page: Stage, harvest: HarvestResult):
         gui, solved = page.server.gui, int(harvest.success.sum())
-        self.page, self.rows = page, {f"{'✓' if row.success else '✗'} {row.fruit}": row for row in harvest.rows}
+        self.page, self.rows = page, {f"{'✓' if row.success else '✗'} {row.fruit}": row for row in harvest}
         gui.add_markdown(f"**{page.robot.name} can pick {solved} of the {len(self.rows)} fruits.** Choose one:")
         self.chosen, self.said = gui.add_dropdown("fruit", list(self.rows)), gui.add_html("")
         self.chosen.on_update(lambda _: self.show())

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.harvesting.driver import Harvest, Posture
+from jaxik.harvesting.driver import HarvestResult
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import Reason
 from jaxik.view.palette import ARM, ARM_EDGE, COLOURS, INK, LEAF, OBSTACLE, WORDS
@@ -29,11 +29,11 @@ class _Crop(NamedTuple):
     box: np.ndarray
 
 
-def plot_harvest(result: Harvest, path: Path) -> None:
+def plot_harvest(result: HarvestResult, path: Path) -> None:
     """One picture (PNG) with two views for every fruit: the robot at its posture, or what is in the way."""
     from matplotlib.figure import Figure
 
-    crop, rows = _crop(result), result.rows[:MOST]
+    crop, rows = _crop(result), list(result[:MOST])
     columns = min(COLUMNS, len(rows))
     width, depth, height = crop.box[1] - crop.box[0]
     scale = min((4.0 - GAP - 0.15) / (width + depth), 3.0 / height)  # [inches/m]: a pair of views is at most 4 inches wide
@@ -58,7 +58,7 @@ def plot_harvest(result: Harvest, path: Path) -> None:
     figure.savefig(path, dpi=110, format="png")
 
 
-def fate(row: Posture) -> str:
+def fate(row: HarvestResult) -> str:
     """The fate of a fruit, in a grower's words."""
     if row.success:
         return f"{1000.0 * row.clearance:.0f} mm clear"
@@ -69,24 +69,24 @@ def fate(row: Posture) -> str:
     return f"hidden {row.blockers.words}" if row.blockers.names else "the arm would hit itself"
 
 
-def in_the_way(row: Posture) -> tuple[str, ...]:
+def in_the_way(row: HarvestResult) -> tuple[str, ...]:
     """The objects that keep the robot from a fruit."""
     return () if row.blockers is None else row.blockers.in_the_way
 
 
-def posture(row: Posture) -> np.ndarray | None:
+def posture(row: HarvestResult) -> np.ndarray | None:
     """The posture that picks a fruit, or would once what is in the way were gone."""
     if row.success:
         return row.q
     return None if row.blockers is None or row.blockers.row is None else np.asarray(row.scan.table.q[row.blockers.row])
 
 
-def _crop(result: Harvest) -> _Crop:
+def _crop(result: HarvestResult) -> _Crop:
     points, owners = scene_points(result.scene)
     some = np.random.default_rng(0).permutation(len(points))[:DOTS]
     solids = scene_solids(result.scene)
-    reasons = {row.fruit: row.reason for row in result.rows}
-    arms = {row.fruit: _arm(result.robot, q) for row in result.rows if (q := posture(row)) is not None}
+    reasons = {row.fruit: row.reason for row in result}
+    arms = {row.fruit: _arm(result.robot, q) for row in result if (q := posture(row)) is not None}
     near = [s.span for s in solids if s.owner in reasons] + [s.span for _, arm in arms.values() for s in arm]
     places = [f.position for f in result.scene.marks] + [np.asarray(result.robot.world_T_base)[:3, 3]]
     held = np.concatenate([points, np.array(places), *near])
@@ -99,7 +99,7 @@ def _arm(robot: Robot, q: np.ndarray) -> tuple[np.ndarray, list[Solid]]:
     return placed, [solid.moved(placed[robot.link_joint[link]]) for link, solid in volume_solids(robot)]
 
 
-def _draw(axis: Any, result: Harvest, crop: _Crop, row: Posture, i: int) -> None:
+def _draw(axis: Any, result: HarvestResult, crop: _Crop, row: HarvestResult, i: int) -> None:
     """One view of one fruit: from the front (i = 0, x and z) or from the side (i = 1, y and z)."""
     from matplotlib.collections import PolyCollection
 
@@ -131,12 +131,12 @@ def _colour(owner: str, crop: _Crop, fruit: str, blocking: tuple[str, ...]) -> A
     return (COLOURS[crop.reasons[owner]], 1.0 if owner == fruit else 0.4) if owner in crop.reasons else (OBSTACLE, 1.0)
 
 
-def _write_head(figure: Any, size: tuple[float, float], result: Harvest, shown: int) -> None:
+def _write_head(figure: Any, size: tuple[float, float], result: HarvestResult, shown: int) -> None:
     """The title above and the legend below, where no plant is."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    solved, count = int(result.success.sum()), len(result.rows)
+    solved, count = int(result.success.sum()), len(result)
     title = f"{result.robot.name} can pick {solved} of {count} fruits of {result.scene.name}"
     figure.text(SIDE / size[0], 1.0 - 0.35 / size[1], title, fontsize=15, weight="bold", color=INK)
     how = "For each fruit the best posture, from the front (left) and from the side (right), and how far it stays from all else"
@@ -152,7 +152,7 @@ def _write_head(figure: Any, size: tuple[float, float], result: Harvest, shown: 
         *([marker(LEAF, "o", "leaves (points)", ms=4)] if result.scene.counts["points"] else []),
         Patch(color=OBSTACLE, label="stems and other obstacles"),
     ]
-    if any(in_the_way(row) for row in result.rows):
+    if any(in_the_way(row) for row in result):
         entries.append(marker(COLOURS[Reason.COLLISION], "o", "what is in this fruit's way", ms=5))
         entries.append(Patch(fc="w", ec=ARM_EDGE, label="the arm, once that is gone"))
     place = (SIDE / size[0], 0.05 / size[1])

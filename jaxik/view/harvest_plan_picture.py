@@ -52,7 +52,7 @@ def _paths(plan: HarvestPlan) -> list[tuple[np.ndarray, bool]]:
 def _draw(axis: Any, plan: HarvestPlan, paths: list[tuple[np.ndarray, bool]], points: np.ndarray, solids: Any, k: int) -> None:
     from matplotlib.collections import PolyCollection
 
-    rows, number = {row.fruit: row for row in plan.rows}, {name: i for i, name in enumerate(plan.order, 1)}
+    rows, number = {row.fruit: row for row in plan}, {name: i for i, name in enumerate(plan.order, 1)}
     colours = [COLOURS[rows[s.owner].reason] if s.owner in rows else OBSTACLE for s in solids]
     shapes = [s.outline(0, k) for s in solids]
     alpha = [0.45 if s.owner in rows else 1.0 for s in solids]
@@ -77,11 +77,11 @@ def _write(figure: Any, plan: HarvestPlan, size: tuple[float, float]) -> None:
     from matplotlib.patches import Patch
 
     left, count = 0.7 / size[0], len(plan.order)
-    title = f"{plan.robot.name} picks {count} of {len(plan.rows)} fruits of {plan.scene.name} in {plan.duration:.1f} s"
+    title = f"{plan.robot.name} picks {count} of {len(plan)} fruits of {plan.scene.name} in {plan.duration:.1f} s"
     figure.text(left, 1.0 - 0.4 / size[1], title, fontsize=15, weight="bold", color=INK)
     each = f"{plan.cycle:.2f} s a fruit, of motions alone; " if count else ""
     figure.text(left, 1.0 - 0.68 / size[1], f"{each}the numbers are their order, ✗ is not picked", fontsize=10, color=INK)
-    there, kinds = sorted({row.reason for row in plan.rows}), {stage.kind for stage in plan.stages}
+    there, kinds = sorted({row.reason for row in plan}), {stage.kind for stage in plan.stages}
     marks = {"transport": "where fruits are let go", "home": "where it begins and ends"}
     entries = [
         Line2D([], [], color=PATH, lw=1.3, label="the tip, empty"),
@@ -93,5 +93,5 @@ def _write(figure: Any, plan: HarvestPlan, size: tuple[float, float]) -> None:
     ]
     place = (left, 0.35 / size[1])
     figure.legend(handles=entries, loc="lower left", bbox_to_anchor=place, ncols=4, fontsize=9, frameon=False)
-    failed = "; ".join(f"{row.fruit}: {row.why}" for row in plan.rows if not row.stages)
+    failed = "; ".join(f"{row.fruit}: {row.why}" for row in plan if not row.stages)
     figure.text(left, 0.15 / size[1], failed, fontsize=9, color=INK)

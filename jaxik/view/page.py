@@ -18,7 +18,7 @@ from jaxik.collision.scene_builder import make_scene
 from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.files.targets import as_frames
 from jaxik.fitting.links import Shape
-from jaxik.harvesting.driver import Harvest
+from jaxik.harvesting.driver import HarvestResult
 from jaxik.harvesting.harvest_plan import HarvestPlan
 from jaxik.ik.options import IKOptions
 from jaxik.ik.solve import solve_ik
@@ -81,7 +81,7 @@ class Page:
         *,
         scene: Scene | None = None,
         store: str | Path | None = None,
-        harvest: Harvest | None = None,
+        harvest: HarvestResult | None = None,
         plan: HarvestPlan | None = None,
         meshes: Sequence[Shape] = (),
         teleop: bool = False,

@@ -24,14 +24,14 @@ class Player:
 
     def __init__(self, page: Stage, plan: HarvestPlan):
         self.page, self.plan, self.samples = page, plan, plan.sample(PERIOD)
-        self.tips = np.array([frames(plan.robot, q)[-1] for q in self.samples.state.q])
+        self.tips = np.array([frames(plan.robot, q)[-1] for q in self.samples.q])
         self.grasped = {s.fruit: self._last(i) for i, s in enumerate(plan.stages) if s.kind == "approach"}
         self.let_go = {s.fruit: self._last(i) for i, s in enumerate(plan.stages) if s.carries}
         self.stays = any(s.kind == "transport" for s in plan.stages)  # where it is let go; else it falls into a hose, or a tray
         self.fruits = page.draw_fruits(plan.order)
         gui, picked = page.server.gui, len(plan.order)
         each = f", {plan.cycle:.2f} s each" if picked else ""
-        gui.add_markdown(f"**{plan.robot.name} picks {picked} of {len(plan.rows)} fruits in {plan.duration:.1f} s{each}.**")
+        gui.add_markdown(f"**{plan.robot.name} picks {picked} of {len(plan)} fruits in {plan.duration:.1f} s{each}.**")
         self.time = gui.add_slider("time [s]", 0.0, max(round(plan.duration, 2), PERIOD), PERIOD, 0.0)
         self.button, self.speed = gui.add_button("Play"), gui.add_dropdown("speed", list(SPEEDS))
         self.said = gui.add_html("")
@@ -95,9 +95,7 @@ class Player:
             fruit.wxyz, fruit.position = to_wxyz(moved[:3, :3]), moved[:3, 3]
         here = self.plan.scene.object_names
         near = {*gone, stage.fruit} if stage.kind == "approach" else {*gone}
-        self.page.show_among(
-            self.plan.scene.without([name for name in here if name in near]), np.asarray(self.samples.state.q[i])
-        )
+        self.page.show_among(self.plan.scene.without([name for name in here if name in near]), np.asarray(self.samples.q[i]))
         words = f"{stage.kind} of {stage.fruit}" if stage.fruit else "the way home"
         self._say(f"{len(gone)} picked; {words}")
 

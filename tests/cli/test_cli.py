@@ -17,7 +17,7 @@ import jaxik
 from jaxik import cli
 from jaxik.cli.harvest import _print_table, write_harvest
 from jaxik.cli.results import print_table
-from jaxik.harvesting.blocking_objects import Blockers
+from jaxik.harvesting import Blockers
 
 GRID = {"kind": "grid", "x": [0, 1, 2], "y": [0.5, 0.8, 2], "z": [0.3, 0.5, 2]}
 SCENE = """name = "bench"
@@ -51,7 +51,7 @@ def call(monkeypatch, *arguments):
 def test_it_writes_table_picture_and_arrays(tmp_path):
     scene, out = tmp_path / "bench.toml", tmp_path / "out"
     scene.write_text(SCENE)
-    command = ["harvest", "--scene", scene, "--out", out, "--angles", "24", "--slides", "9", "--weights.freedom", "1"]
+    command = ["harvest", "--scene", scene, "--out", out, "--angles", "24", "--slides", "9", "--freedom-weight", "1"]
     environment = {**os.environ, "COLUMNS": "200"}
     code = "from jaxik.cli import main; main()"
     done = subprocess.run([sys.executable, "-c", code, *map(str, command)], env=environment, capture_output=True, text=True)
@@ -213,7 +213,7 @@ def test_names_and_numbers_of_a_wide_table_are_not_cut(monkeypatch, capsys):
     assert all(line[-1] in "┓┃┩│┘" for line in printed.splitlines()[1:])  # no line is cut
 
 
-@pytest.mark.parametrize("option, words", [(("--weights.reach", "0"), "reach > 0"), (("--wieghts.reach", "1"), "wieghts")])
+@pytest.mark.parametrize("option, words", [(("--reach", "0"), "reach is 0"), (("--raech", "1"), "raech")])
 def test_a_mistake_in_an_option_names_it(monkeypatch, capsys, option, words):
     with pytest.raises(SystemExit) as exit:
         call(monkeypatch, "harvest", *option)

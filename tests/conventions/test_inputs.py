@@ -204,7 +204,7 @@ def test_an_arc_about_no_axis():
             jaxik.motions.FollowOptions,
             jaxik.motions.Horizon,
             jaxik.optimise.Descent,
-            jaxik.harvesting.Weights,
+            jaxik.reach.PostureOptions,
             jaxik.harvesting.Grasp,
         )
     ),
@@ -258,9 +258,9 @@ def test_other_arrays_and_counts(value):
 
 def test_what_is_of_another_kind():
     fruit = jaxik.load_scene("cucumber_row").marks[0]
-    for kind in ("weights", "grasp"):
-        refused(f"{kind} is False; write a jaxik", jaxik.harvesting.scan, P6R, SCENE, fruit, 2, 2, **{kind: False})
-    refused("margin is nan", jaxik.harvesting.scan, P6R, SCENE, fruit, 2, 2, margin=np.nan)
+    for kind in ("options", "grasp"):
+        refused(f"{kind} is False; write a jaxik", jaxik.harvesting.scan, P6R, SCENE, fruit, **{kind: False})
+    refused("margin is nan", jaxik.harvesting.scan, P6R, SCENE, fruit, margin=np.nan)
     refused("fruit is 3", jaxik.harvesting.scan, P6R, SCENE, 3)
     refused("scene is 3", jaxik.harvest, P6R, 3)
     refused("robot is 3", jaxik.forward_kinematics, 3, ZEROS)

@@ -7,7 +7,6 @@ from robot_files import refused, write
 from robots import pinocchio
 
 import jaxik
-from jaxik.harvesting.grasp import fruit_frames
 
 LIFT = """name = "lifted"
 convention = "modified_dh"
@@ -146,5 +145,5 @@ def test_shipped_assemblies_pick_in_the_shipped_row(name):
     """A posture amid the leaves holds the fruit, by Pinocchio, and is free."""
     robot, scene, (fruit, angle, q) = jaxik.load(name), jaxik.load_scene("cucumber_row"), PICKS[name]
     tip = robot.world_T_base @ pinocchio(robot)(np.array(q))
-    assert np.allclose(tip, fruit_frames(scene.marks[fruit], np.array([angle]))[0], atol=5e-4)
+    assert np.allclose(tip, jaxik.reach.Grasp().frames(scene.marks[fruit], np.array([angle]))[0], atol=5e-4)
     assert jaxik.explain(robot, scene, np.array(q)).contacts[0].distance > 0.005

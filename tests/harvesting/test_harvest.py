@@ -1,5 +1,6 @@
 """The harvest of a generated row: what it calls solved is solved, and what it says must go is enough and least."""
 
+import dataclasses
 import itertools
 from functools import partial
 from types import SimpleNamespace
@@ -11,25 +12,47 @@ import pytest
 import jaxik
 from jaxik.files.scene import save_scene
 from jaxik.harvesting.blocking_objects import Touched, unblocked
-from jaxik.harvesting.crop import cucumber_row
 from jaxik.reasons import Reason
 from jaxik.view.harvest_picture import fate, in_the_way, posture
 
 
 @pytest.fixture(scope="module")
 def harvest():
-    return jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"))
+    return jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"), margin=0.005)
 
 
 def test_it_prints_as_a_line_a_fruit(harvest):
     lines = str(harvest).splitlines()
-    assert len(lines) == 1 + len(harvest.rows) and lines[0].startswith("Harvest of cucumber_row") and "mm" in lines[1]
+    assert len(lines) == 1 + len(harvest) == 13 and lines[0].startswith("Harvest of cucumber_row") and "mm" in lines[1]
+
+
+def test_rows_are_results(harvest):
+    """A row has its own truth and numbers; the whole has none, and says of each what would help."""
+    solved, blocked = harvest[0], harvest[3]
+    assert solved and not blocked and len(harvest) == 12 == len(list(harvest)) and harvest.q.shape == (12, 7)
+    assert solved.fruit == "fruit_1" and solved.q.shape == (7,) and solved.found_by == "grid" and np.isnan(blocked.q).all()
+    assert harvest.why[3] == blocked.why == "collision: take away leaf_4_1"
+    assert harvest.counts() == {
+        "solved": 10,
+        "collision": 2,
+    }
+    assert harvest[harvest.success].fruit == tuple(row.fruit for row in harvest if row)
+    with pytest.raises(ValueError, match="the truth of 12 fruits is not one answer"):
+        bool(harvest)
+    far = dataclasses.replace(blocked, blockers=None, reason=Reason.OUT_OF_REACH)
+    assert far.why == "out of reach; bring the base nearer to it"
+
+
+def test_progress_counts_fruits():
+    scene, seen = jaxik.load_scene("cucumber_row"), []
+    jaxik.harvest(jaxik.load("p6r"), scene, angles=4, slides=2, progress=lambda *done: seen.append(done))
+    assert seen == [(i + 1, 12) for i in range(12)]
 
 
 def test_solved_is_solved(harvest):
     robot, scene = harvest.robot, harvest.scene
     assert harvest.success.sum() >= 8
-    for row in (r for r in harvest.rows if r.success):
+    for row in (r for r in harvest if r.success):
         own = scene.object_names.index(row.fruit)
         assert np.all((row.q >= robot.lower - 1e-6) & (row.q <= robot.upper + 1e-6))
         assert row.position_error <= 2e-6 and row.rotation_error <= 2e-5
@@ -52,9 +75,9 @@ def _opened_by_brute_force(harvest, row):
 def test_what_has_to_go_opens_a_posture_and_nothing_cheaper_does(harvest):
     """Fewer leaves do not, with all fruits picked that can be; nor do as many with fewer fruits."""
     numbers = lambda names: [harvest.scene.object_names.index(name) for name in names]
-    pickable = numbers(row.fruit for row in harvest.rows if row.success)
+    pickable = numbers(row.fruit for row in harvest if row.success)
     leaves = [i for i, removable in enumerate(harvest.scene.removable) if removable]
-    blocked = [row for row in harvest.rows if row.reason == Reason.COLLISION]
+    blocked = [row for row in harvest if row.reason == Reason.COLLISION]
     assert blocked
     for row in blocked:
         opened = _opened_by_brute_force(harvest, row)
@@ -71,7 +94,7 @@ def test_what_has_to_go_opens_a_posture_and_nothing_cheaper_does(harvest):
 
 def test_a_neighbour_is_picked_before_a_leaf_is_taken_away(harvest):
     """Either opens fruit_12 of the shipped row; nothing but a leaf opens fruit_4."""
-    rows = {row.fruit: row for row in harvest.rows}
+    rows = {row.fruit: row for row in harvest}
     names, twelve = harvest.scene.object_names, rows["fruit_12"]
     assert twelve.blockers.pick_first == ("fruit_7",) and twelve.blockers.removal == () and rows["fruit_7"].success
     assert _opened_by_brute_force(harvest, twelve)([names.index("leaf_2_3")])
@@ -79,10 +102,10 @@ def test_a_neighbour_is_picked_before_a_leaf_is_taken_away(harvest):
     assert "fruit_12: collision: pick fruit_7" in str(harvest) and rows["fruit_7"].why == "solved"
     arrays = harvest.arrays()
     assert arrays["pick_first"][11] == "fruit_7" and arrays["remove"][11] == "" and arrays["remove"][3] == "leaf_4_1"
-    alone = jaxik.harvesting.blockers(harvest.robot, harvest.scene, twelve.scan)  # of which nobody says what can be picked
+    alone = twelve.scan.blockers()  # nobody says what can be picked
     assert alone.pick_first == () and alone.removal == ("leaf_2_3",)
     with pytest.raises(ValueError, match=r"blockers: pickable: no fruit 'fruit_77'"):
-        jaxik.harvesting.blockers(harvest.robot, harvest.scene, twelve.scan, pickable=["fruit_77"])
+        twelve.scan.blockers(pickable=["fruit_77"])
 
 
 @pytest.mark.parametrize("gate, mend", [("fruit", "pick gate"), ("leaf", "take away gate"), ("stem", "")])
@@ -96,14 +119,14 @@ def test_what_stands_in_the_only_way(gate, mend):
         builder.add_mark("gate", (0.5, 0.53, 0.62), length=0.2, radius=0.03)
     else:
         builder.add("gate", removable=gate == "leaf", capsules=[[0.5, 0.53, 0.62, 0.5, 0.53, 0.42, 0.03]])
-    harvest = jaxik.harvest(jaxik.load("p6r"), builder.scene(), angles=24, slides=11)
-    inner = harvest.rows[0]
+    harvest = jaxik.harvest(jaxik.load("p6r"), builder.scene(), angles=24, slides=11, margin=0.005)
+    inner = harvest[0]
     assert inner.reason == Reason.COLLISION and inner.blockers.mend == mend
     opened, gone = _opened_by_brute_force(harvest, inner), harvest.scene.object_names.index("gate")
     assert opened([gone]) and not opened([])
     assert fate(inner) == (f"blocked; first {mend}" if mend else f"hidden behind {', '.join(inner.blockers.names)}")
     if gate == "fruit":
-        assert harvest.rows[1].success
+        assert harvest[1].success
 
 
 def _touched(*sets):
@@ -131,7 +154,7 @@ def test_fruits_that_others_open_are_picked_first_in_turn():
 
 def test_the_shipped_row_is_the_generators(tmp_path):
     path = tmp_path / "row.toml"
-    save_scene(cucumber_row(0), path)
+    save_scene(jaxik.harvesting.make_row(0), path)
     shipped, made = jaxik.load_scene("cucumber_row"), jaxik.load_scene(path)
     assert shipped.object_names == made.object_names
     assert np.array_equal(shipped.points.center, made.points.center)
@@ -159,7 +182,7 @@ def test_a_bad_scene_is_one_line(tmp_path, text, words):
 def test_the_picture_says_what_became_of_each_fruit(harvest):
     """In words; and of a fruit that is blocked it shows the posture that would be free without what is in the way."""
     clear = jax.jit(jaxik.clearance, static_argnums=0)
-    for row in harvest.rows:
+    for row in harvest:
         if row.success:
             assert fate(row) == f"{1000 * row.clearance:.0f} mm clear" and in_the_way(row) == () and posture(row) is row.q
         else:
@@ -167,8 +190,8 @@ def test_the_picture_says_what_became_of_each_fruit(harvest):
             assert fate(row) == f"blocked; first {row.blockers.mend}" and row.blockers.in_the_way == in_the_way(row) != ()
             opened = clear(harvest.robot, scene.without(in_the_way(row)).padded(), posture(row))
             assert opened >= 0.005 - 1e-5 > clear(harvest.robot, scene.padded(), posture(row))
-    hidden = harvest.rows[3]
-    names = hidden._replace(blockers=hidden.blockers._replace(removal=None, names=("stem_1", "wire"), row=None))
+    hidden = harvest[3]
+    names = dataclasses.replace(hidden, blockers=hidden.blockers._replace(removal=None, names=("stem_1", "wire"), row=None))
     assert fate(names) == "hidden behind stem_1, wire" and posture(names) is None
-    assert fate(hidden._replace(blockers=names.blockers._replace(names=()))) == "the arm would hit itself"
-    assert fate(hidden._replace(blockers=None, reason=Reason.OUT_OF_REACH)) == "out of reach"
+    assert fate(dataclasses.replace(names, blockers=names.blockers._replace(names=()))) == "the arm would hit itself"
+    assert fate(dataclasses.replace(hidden, blockers=None, reason=Reason.OUT_OF_REACH)) == "out of reach"

@@ -13,8 +13,8 @@ import jaxik
 from jaxik.cli.harvest import write_harvest
 from jaxik.collision import SceneBuilder
 from jaxik.harvesting import tour
-from jaxik.harvesting.grasp import Grasp
 from jaxik.harvesting.picks import carrying
+from jaxik.reach.grasp import Grasp
 from jaxik.view import Page
 
 CRATE = [0.3, -2.0, -0.3, -0.5, 0.0, -0.7, 1.57]
@@ -22,12 +22,12 @@ CRATE = [0.3, -2.0, -0.3, -0.5, 0.0, -0.7, 1.57]
 
 @pytest.fixture(scope="module")
 def harvested():
-    return jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"))
+    return jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"), margin=0.005)
 
 
 @pytest.fixture(scope="module")
 def plan(harvested):
-    return jaxik.harvesting.plan_harvest(harvested, place=CRATE, candidates=8)
+    return jaxik.harvesting.plan_harvest(harvested, place=CRATE, candidates=8, margin=MARGIN)
 
 
 def test_motions_are_free_and_within_the_limits(plan):
@@ -47,7 +47,7 @@ def test_stages_follow_each_other(plan, harvested):
     for state in states:
         np.testing.assert_allclose(state.velocity[[0, -1]], 0.0, atol=1e-9)
     np.testing.assert_array_equal(states[0].q[0], states[-1].q[-1].round(9))
-    for row in plan.rows:
+    for row in plan:
         if row.stages:
             np.testing.assert_allclose(row.stages[-1].trajectory.sample(0.01).q[-1], CRATE, atol=1e-9)
             line = row.stages[1].trajectory.sample(0.01).q
@@ -60,7 +60,7 @@ def test_stages_follow_each_other(plan, harvested):
 
 
 def test_every_fruit_has_motions_or_a_reason(plan, harvested):
-    for row, posture in zip(plan.rows, harvested.rows, strict=True):
+    for row, posture in zip(plan, harvested, strict=True):
         assert row.fruit == posture.fruit and bool(row.stages) == (row.reason == jaxik.Reason.SOLVED)
         assert row.stages or (row.where in ("posture", "approach", "retreat") and row.where in row.why)
     assert "retreat: collision (leaf_3_1)" in str(plan)
@@ -68,32 +68,32 @@ def test_every_fruit_has_motions_or_a_reason(plan, harvested):
 
 def test_rows_have_what_those_of_the_harvest_have(plan, harvested):
     """`success`, and the posture `q` in which the tip grasps the fruit; and a neighbour that is picked first opens the next."""
-    assert [row.success for row in plan.rows] == plan.success.tolist() and plan.q.shape == harvested.q.shape
-    for row, fruit in zip(plan.rows, plan.scene.marks, strict=True):
+    assert [bool(row) for row in plan] == plan.success.tolist() and plan.q.shape == harvested.q.shape
+    for row, fruit in zip(plan, plan.scene.marks, strict=True):
         if row.success:
             np.testing.assert_allclose(row.q, row.stages[1].trajectory.sample(0.01).q[-1], atol=1e-9)
             tip = plan.robot.world_T_base @ np.asarray(jaxik.forward_kinematics(plan.robot, row.q))
             np.testing.assert_allclose(tip[:3, 3], fruit.position, atol=1e-5)
         else:
-            assert np.isnan(row.q).all() and row.q.shape == harvested.rows[0].q.shape
-    needs = {row.fruit: row.blockers.pick_first for row in harvested.rows if row.blockers and not row.blockers.removal}
+            assert np.isnan(row.q).all() and row.q.shape == harvested[0].q.shape
+    needs = {row.fruit: row.blockers.pick_first for row in harvested if row.blockers and not row.blockers.removal}
     assert needs == {"fruit_12": ("fruit_7",)}
-    assert plan.rows[11].success and plan.order.index("fruit_7") < plan.order.index("fruit_12")
+    assert plan[11] and plan.order.index("fruit_7") < plan.order.index("fruit_12")
 
 
 def test_the_shortest_order_is_shorter_than_the_rows(harvested):
     """By more than 15 %, of what was planned, against the best posture of each fruit from left to right."""
-    row = jaxik.harvesting.plan_harvest(harvested, order="row", candidates=1)
-    shortest = jaxik.harvesting.plan_harvest(harvested)
+    row = jaxik.harvesting.plan_harvest(harvested, order="row", candidates=1, margin=MARGIN)
+    shortest = jaxik.harvesting.plan_harvest(harvested, margin=MARGIN)
     places = {fruit.name: fruit.position[0] for fruit in harvested.scene.marks}
     assert np.sum(np.diff([places[name] for name in row.order]) < 0.0) <= 1  # but for what could not be picked at first
     assert set(row.order) == set(shortest.order) and shortest.duration < 0.85 * row.duration
 
 
 def test_leaves_may_be_touched_where_there_is_no_other_way(harvested):
-    plan = jaxik.harvesting.plan_harvest(harvested, leaves="brush", candidates=2)
+    plan = jaxik.harvesting.plan_harvest(harvested, leaves="brush", candidates=2, margin=MARGIN)
     assert plan.success.all() and plan.leaves and all(name.startswith("leaf") for name in plan.leaves)
-    assert "leaf_3_1" in next(row.leaves for row in plan.rows if row.fruit == "fruit_3")
+    assert "leaf_3_1" in next(row.leaves for row in plan if row.fruit == "fruit_3")
 
 
 def test_a_body_that_is_not_round_is_carried_as_it_is_grasped():
@@ -148,7 +148,7 @@ def test_no_groups_are_no_tour():
         ({"order": "fast"}, "order"),
         ({"order": 5}, "order is 5; allowed: shortest, row, or a list"),
         ({"leaves": "eat"}, "leaves"),
-        ({"approach": 0.0}, "above zero"),
+        ({"approach": 0.0}, "approach is 0.0; allowed: a finite number above 0"),
         ({"candidates": 0}, "candidates is 0"),
         ({"speed": 1}, "unknown option 'speed'"),
     ],

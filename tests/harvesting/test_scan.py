@@ -1,5 +1,6 @@
 """Scans: the grid against brute force, recovery's slope against autodiff, blockers by brute force."""
 
+import dataclasses
 import itertools
 
 import jax
@@ -11,10 +12,10 @@ from papers.harvest_costs import harvest_orientation_cost
 
 import jaxik
 from jaxik.files.shipped import models_folder
-from jaxik.harvesting.grasp import grasp_poses
 from jaxik.harvesting.grid_refinement import _climb, _misses, _self_motion, recover
-from jaxik.harvesting.scanning import Weights
+from jaxik.harvesting.scanning import ScanOptions
 from jaxik.kinematics.forward import joint_frames
+from jaxik.reach.grasp import Grasp
 from jaxik.reasons import Reason
 
 ROBOT = jaxik.load("p6r")
@@ -40,18 +41,18 @@ def test_grasp_poses_satisfy_the_paper():
     """(5) of Van Henten et al. 2010 as printed, in the base frame with the fruit's axis along the base's z."""
     fruit = OPEN.marks[0]
     upright = ROBOT.mounted(np.eye(4))  # the base frame is the world's: the fruit's axis is its z
-    for pose in grasp_poses(upright, fruit, np.linspace(-3.0, 3.0, 7)):
+    for pose in Grasp().poses(upright, fruit, np.linspace(-3.0, 3.0, 7)):
         assert harvest_orientation_cost(pose[:3, :3]) <= 1e-28
         assert np.allclose(pose[:3, 3], fruit.position) and abs(np.linalg.det(pose[:3, :3]) - 1.0) <= 1e-14
 
 
 @pytest.fixture(scope="module")
 def found():
-    return jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], angles=24, slides=7)
+    return jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], angles=24, slides=7, margin=0.005)
 
 
 def test_the_table_is_what_one_by_one_gives(found):
-    poses = grasp_poses(ROBOT, found.fruit, found.angles)
+    poses = Grasp().poses(ROBOT, found.fruit, found.angles)
     solve = jax.jit(lambda pose, slide: jaxik.closed_form(ROBOT, pose, slide))
     rows = {
         (int(np.argmin(np.abs(found.angles - a))), int(np.argmin(np.abs(found.leading[:, 0] - s))), int(b)): i
@@ -78,18 +79,20 @@ def test_the_table_is_what_one_by_one_gives(found):
 def test_weights_rank(found):
     free = found.table.clearance >= 0.005
     assert free.any()
-    for weights, column in ((Weights(1.0, 0.0, reach=10.0), found.table.clearance), (Weights(0.0, 1.0), found.table.freedom)):
-        best = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], 24, 7, weights).table.best(0.005)
+    wide = {"clearance_weight": 1.0, "freedom_weight": 0.0, "reach": 10.0}
+    free_only = {"clearance_weight": 0.0, "freedom_weight": 1.0}
+    for weights, column in ((wide, found.table.clearance), (free_only, found.table.freedom)):
+        best = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], angles=24, slides=7, **weights).table.best(0.005)
         assert column[best] == column[free].max()
-    with pytest.raises(ValueError, match="reach > 0"):
-        Weights(reach=0.0)
+    with pytest.raises(ValueError, match=r"reach is 0\.0; allowed: a finite number above 0"):
+        ScanOptions(reach=0.0)
 
 
 def test_the_slope_of_recovery_is_autodiffs():
     """Clearance over (angle, slide), differentiated through the closed form; the driver's own route is by Jacobian."""
     fruit, others = OPEN.marks[0], OPEN.without([0])
     axis = ROBOT.world_T_base[:3, :3].T @ fruit.axis
-    centre, reference = np.linalg.inv(ROBOT.world_T_base) @ [*fruit.position, 1.0], grasp_poses(ROBOT, fruit, np.zeros(1))[0]
+    centre, reference = np.linalg.inv(ROBOT.world_T_base) @ [*fruit.position, 1.0], Grasp().poses(ROBOT, fruit, np.zeros(1))[0]
 
     def pose(angle):
         skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
@@ -123,7 +126,7 @@ def test_arms_of_other_families(name, given):
     found = jaxik.harvesting.scan(robot, scene, fruit, angles=16, slides=9)
     table = found.table
     assert len(table.q) and table.leading.shape[1] == given
-    poses = grasp_poses(robot, fruit, table.angle)
+    poses = Grasp().poses(robot, fruit, table.angle)
     back = joint_frames(robot, list(table.q.T.astype(np.float64))).tip.matrices
     assert np.abs(back - poses).max() <= 2e-5
     assert np.all((table.q >= robot.lower - 1e-6) & (table.q <= robot.upper + 1e-6))
@@ -132,7 +135,7 @@ def test_arms_of_other_families(name, given):
     branch, u = int(table.branch[row]), np.array([table.angle[row], *table.leading[row]])
     solve = jax.jit(lambda pose, given: jaxik.closed_form(robot, pose, given).q[branch])
     worth = lambda q: float(np.sum(np.sin(np.asarray(q) + 0.3)))
-    at = lambda u: solve(grasp_poses(robot, fruit, u[:1])[0], u[1:])
+    at = lambda u: solve(Grasp().poses(robot, fruit, u[:1])[0], u[1:])
     numeric = [(worth(at(u + 1e-5 * e)) - worth(at(u - 1e-5 * e))) / 2e-5 for e in np.eye(len(u))]
     q = np.asarray(at(u))
     jacobian = np.asarray(jaxik.jacobian(robot, q))
@@ -140,27 +143,34 @@ def test_arms_of_other_families(name, given):
     assert np.allclose(ours, numeric / np.linalg.norm(numeric), atol=1e-3)
 
 
+def _asked(found, margin):
+    """The scan as one that is asked for another margin."""
+    return dataclasses.replace(found, options=found.options.changed({"margin": margin}))
+
+
 def test_recovery_finds_what_the_grid_misses():
-    fine = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], 72, 41)
+    fine = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0])
     best = float(fine.table.clearance.max())
-    coarse = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], 7, 3, margin=0.95 * best)
+    coarse = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], angles=7, slides=3, margin=0.95 * best)
     assert coarse.reason != Reason.SOLVED  # so high a margin that so coarse a grid has nothing
-    mended = recover(ROBOT, OPEN, coarse, margin=float(coarse.table.clearance.max()) + 0.004)
+    mended = recover(_asked(coarse, float(coarse.table.clearance.max()) + 0.004))
     assert mended is not None and mended.how in ("finer grid", "gradient")
     assert mended.row.clearance[0] > coarse.table.clearance.max()
     q = mended.row.q[0].astype(np.float64)
-    pose = grasp_poses(ROBOT, OPEN.marks[0], mended.row.angle)[0]
+    pose = Grasp().poses(ROBOT, OPEN.marks[0], mended.row.angle)[0]
     assert np.max(np.abs(jaxik.forward_kinematics(ROBOT, q) - pose)) <= 2e-5
     assert np.all((q >= ROBOT.lower - 1e-6) & (q <= ROBOT.upper + 1e-6))
 
 
 def test_gradient_ascent_alone_reaches_the_margin():
-    coarse = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], 7, 3)
+    coarse = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], angles=7, slides=3)
     margin = float(coarse.table.clearance.max()) + 0.003
-    climbed = _climb(ROBOT, OPEN, coarse, _misses(coarse), Weights(), margin, None)
+    climbed = _climb(_asked(coarse, margin), _misses(coarse))
     assert climbed is not None and climbed.how == "gradient" and climbed.row.clearance[0] >= margin
     q = climbed.row.q[0].astype(np.float64)
-    assert np.max(np.abs(jaxik.forward_kinematics(ROBOT, q) - grasp_poses(ROBOT, OPEN.marks[0], climbed.row.angle)[0])) <= 2e-5
+    assert (
+        np.max(np.abs(jaxik.forward_kinematics(ROBOT, q) - Grasp().poses(ROBOT, OPEN.marks[0], climbed.row.angle)[0])) <= 2e-5
+    )
 
 
 @pytest.mark.parametrize("leading", [0, 2])
@@ -177,8 +187,8 @@ def test_arms_with_other_numbers_of_leading_joints(leading, tmp_path):
         path.write_text(text.replace("[[joint]]", lift + "[[joint]]", 1))
         robot = jaxik.load(path)
     assert robot.num_joints == 6 + leading
-    result = jaxik.harvest(robot, OPEN, angles=36, slides=5)
-    assert result.rows[0].success and result.rows[0].position_error <= 2e-6
+    result = jaxik.harvest(robot, OPEN, angles=36, slides=5, margin=0.005)
+    assert result[0] and result[0].position_error <= 2e-6
     assert result.candidates == 36 * 5**leading * 8
     plot_harvest(result, tmp_path / "harvest.png")
 
@@ -191,17 +201,15 @@ def _lift(z):
 
 def test_each_reason():
     far = crop(position=(0.5, 9.0, 0.6))
-    assert jaxik.harvesting.scan(ROBOT, far, far.marks[0], 12, 5).reason == Reason.OUT_OF_REACH
+    assert jaxik.harvesting.scan(ROBOT, far, far.marks[0], angles=12, slides=5).reason == Reason.OUT_OF_REACH
     cage = [(0.5 + 0.09 * np.cos(a), 0.66 + 0.09 * np.sin(a), z) for a in np.linspace(0, 6, 24) for z in (0.55, 0.6, 0.65)]
     shut = crop(("leaf_1", True, cage[::2]), ("post_1", False, cage[1::2]))
-    found = jaxik.harvesting.scan(ROBOT, shut, shut.marks[0], 24, 9)
+    found = jaxik.harvesting.scan(ROBOT, shut, shut.marks[0], angles=24, slides=9, margin=0.005)
     assert found.reason == Reason.COLLISION
-    assert jaxik.harvesting.blockers(ROBOT, shut, found).removal is None  # the post may not go
+    assert not found and found.why == "collision" and found.blockers().removal is None  # the post may not go
     loose = crop(("leaf_1", True, cage[::2]), ("leaf_2", True, cage[1::2]))
-    assert set(jaxik.harvesting.blockers(ROBOT, loose, jaxik.harvesting.scan(ROBOT, loose, loose.marks[0], 24, 9)).removal) <= {
-        "leaf_1",
-        "leaf_2",
-    }
+    found = jaxik.harvesting.scan(ROBOT, loose, loose.marks[0], angles=24, slides=9, margin=0.005)
+    assert set(found.blockers().removal) <= {"leaf_1", "leaf_2"}
     upside = jaxik.make_scene(points=[[0, 0, 0]])
     with pytest.raises(ValueError, match="no fruit"):
         jaxik.harvest(ROBOT, upside)
@@ -217,7 +225,9 @@ def test_a_million_candidates_stay_below_a_gibibyte():
 def test_counts_of_any_integer_and_values_of_any_sequence(found):
     """A count is an integer of any kind; what is neither a count nor values is refused in one line."""
     fruit = OPEN.marks[0]
-    same = lambda **grid: jaxik.harvesting.scan(ROBOT, OPEN, fruit, **{"angles": 24, "slides": 7} | grid).status
+    same = lambda **grid: (
+        jaxik.harvesting.scan(ROBOT, OPEN, fruit, **{"angles": 24, "slides": 7, "margin": 0.005} | grid).status
+    )
     low, high = ROBOT.lower[0], ROBOT.upper[0]
     for angles in (np.int64(24), np.uint8(24), np.array(24), found.angles, list(found.angles)):
         assert np.array_equal(same(angles=angles), found.status)
@@ -242,6 +252,6 @@ def test_counts_of_any_integer_and_values_of_any_sequence(found):
         with pytest.raises(ValueError, match=words) as caught:
             same(**grid)
         assert "\n" not in str(caught.value)
-    for values in ({"clearance": np.nan}, {"freedom": np.inf}, {"reach": np.inf}):
-        with pytest.raises(ValueError, match="weights"):
-            Weights(**values)
+    for values in ({"clearance_weight": np.nan}, {"freedom_weight": np.inf}, {"freedom_weight": -1.0}, {"reach": np.inf}):
+        with pytest.raises(ValueError, match=next(iter(values))):
+            ScanOptions(**values)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.harvesting.grasp import fruit_frames
 
 ROBOT, SCENE = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
+held = jaxik.reach.Grasp().frames
 FRUIT = SCENE.marks[0]
 AROUND = SCENE.without([FRUIT.name]).geometry()
-POSES = fruit_frames(FRUIT, np.linspace(-np.pi, np.pi, 24, endpoint=False))
+POSES = held(FRUIT, np.linspace(-np.pi, np.pi, 24, endpoint=False))
 
 
 def shifted(x):
@@ -40,13 +40,13 @@ def sloped(score, x, around, at, q):
 @pytest.fixture(scope="module")
 def scanned():
     # at its end a slide has no margin left
-    return jaxik.harvesting.scan(ROBOT, SCENE, FRUIT, 24, np.linspace(0.1, 0.9, 11))
+    return jaxik.harvesting.scan(ROBOT, SCENE, FRUIT, angles=24, slides=np.linspace(0.1, 0.9, 11))
 
 
 def test_gradient_by_base_link_and_scene_is_that_of_differences():
     fruit = SCENE.marks[8]  # among leaves
     around = SCENE.without([fruit.name]).geometry()
-    at, q = jaxik.reach.likely_postures(ROBOT, around, fruit_frames(fruit, np.linspace(-np.pi, np.pi, 24, endpoint=False)))
+    at, q = jaxik.reach.likely_postures(ROBOT, around, held(fruit, np.linspace(-np.pi, np.pi, 24, endpoint=False)))
     both, step = lambda x: sloped(jaxik.reach.reach_score, x, around, at, q.astype(float)), 1e-5
     slope = np.asarray(both(np.zeros(7))[1])
     differences = [(both(step * e)[0] - both(-step * e)[0]) / (2.0 * step) for e in np.eye(7)]
@@ -57,7 +57,7 @@ def test_gradient_by_base_link_and_scene_is_that_of_differences():
 def test_postures_follow_their_targets(scanned):
     """A posture found once serves for a base moved by a centimetre: as one that is solved for there, to second order."""
     best = scanned.table.best(0.02)
-    pose = fruit_frames(FRUIT, scanned.table.angle[best : best + 1])
+    pose = held(FRUIT, scanned.table.angle[best : best + 1])
     q = scanned.table.q[best : best + 1].astype(float)
     here = float(jaxik.reach.reach_score(ROBOT, AROUND, pose, q))
     assert here > 0.5
@@ -72,7 +72,11 @@ def test_half_is_the_mark(scanned):
     """Above 1/2 where a posture is clear and inside, below where it collides or the target is out of reach."""
     table = scanned.table
     one = lambda i: jaxik.reach.reach_score(
-        ROBOT, AROUND, fruit_frames(FRUIT, table.angle[i : i + 1]), table.q[i : i + 1].astype(float), temperature=0.01
+        ROBOT,
+        AROUND,
+        held(FRUIT, table.angle[i : i + 1]),
+        table.q[i : i + 1].astype(float),
+        temperature=0.01,
     )
     assert float(one(table.best(0.02))) > 0.5 > float(one(int(np.argmin(table.clearance))))
     away = POSES.copy()

@@ -1,4 +1,4 @@
-"""How the tip meets a fruit: the frames that hold it, at any angle about its axis."""
+"""How the tip meets a thing that hangs or stands along an axis: the frames that hold it, at any angle about that axis."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Grasp:
     """How the tip meets a fruit: its direction `up` (tip frame) lies along the fruit's axis, `approach` points at the fruit.
 
     The default is the gripper of (5) in Van Henten et al. 2010: the tool's x-axis points down the fruit. Raises `ValueError`
-    for what are no unit vectors at a right angle.
+    unless both are unit vectors at a right angle.
     """
 
     up: tuple[float, float, float] = (-1.0, 0.0, 0.0)
@@ -32,24 +32,26 @@ class Grasp:
             given = f"up {shown(self.up)} and approach {shown(self.approach)} are no unit vectors at a right angle"
             raise ValueError(f"grasp: {given}; write e.g. up = (-1, 0, 0), approach = (0, 0, 1)")
 
+    def rotations(self, up: np.ndarray, approach: np.ndarray) -> np.ndarray:
+        """The tip's rotations (a, 3, 3) whose `up` and `approach` are these unit vectors (a, 3) at right angles."""
+        tool = np.stack([self.up, self.approach, np.cross(self.up, self.approach)], axis=-1)
+        return np.stack([up, approach, np.cross(up, approach)], axis=-1) @ tool.T
 
-def grasp_poses(robot: Robot, fruit: Mark, angles: np.ndarray, grasp: Grasp | None = None) -> np.ndarray:
-    """`fruit_frames` in the robot's base."""
-    return np.linalg.inv(robot.world_T_base) @ fruit_frames(fruit, angles, grasp)
+    def frames(self, fruit: Mark, angles: Any) -> np.ndarray:
+        """The tip frames `world_T_tip` (a, 4, 4) that hold a fruit at `angles`, values (a,) [rad] or a count, about its axis.
+        Host.
 
+        At angle 0 the approach is along the world's y (its x where the axis is y), turned right-handed about the axis from
+        there.
+        """
+        angles, up = approach_grid(angles), fruit.axis
+        forward = across(up, (0.0, 1.0, 0.0))
+        approach = np.cos(angles)[:, None] * forward + np.sin(angles)[:, None] * np.cross(up, forward)
+        return frame(fruit.position, self.rotations(np.broadcast_to(up, approach.shape), approach))
 
-def fruit_frames(fruit: Mark, angles: np.ndarray, grasp: Grasp | None = None) -> np.ndarray:
-    """The tip frames in the world (a, 4, 4) that hold `fruit` at the given angles [rad] about its axis.
-
-    At angle 0 the approach is along the world's y (its x where the axis is y), turned right-handed about the axis from there.
-    """
-    grasp = grasp or Grasp()
-    up, forward = fruit.axis, across(fruit.axis, (0.0, 1.0, 0.0))
-    side = np.cross(up, forward)
-    approach = np.cos(angles)[:, None] * forward + np.sin(angles)[:, None] * side
-    world = np.stack([np.broadcast_to(up, approach.shape), approach, np.cross(up, approach)], axis=-1)
-    tool = np.stack([grasp.up, grasp.approach, np.cross(grasp.up, grasp.approach)], axis=-1)
-    return frame(fruit.position, world @ tool.T)
+    def poses(self, robot: Robot, fruit: Mark, angles: Any) -> np.ndarray:
+        """The same in the robot's base, `base_T_tip` (a, 4, 4). Host."""
+        return np.linalg.inv(robot.world_T_base) @ self.frames(fruit, angles)
 
 
 def across(axis: Any, toward: tuple[float, float, float]) -> np.ndarray:
@@ -60,7 +62,7 @@ def across(axis: Any, toward: tuple[float, float, float]) -> np.ndarray:
 
 
 def approach_grid(angles: Any) -> np.ndarray:
-    """Angles (m,) [rad] as given, or so many from -pi up to, and without, pi. Raises `ValueError` for what is neither."""
+    """Angles (m,) [rad] as given, or a count of them from -pi up to, and without, pi. Raises `ValueError` for anything else."""
     angles = as_count_or_values("angles", angles, (-1,))
     if isinstance(angles, np.ndarray):
         return angles
