@@ -37,7 +37,11 @@ import jaxik
 from jaxik.collision.bvh import WITHIN
 
 # hulls: capsules around the hull of each mesh, and nothing else
-SETTINGS = {"default": (jaxik.Fit(), False), "exact": (jaxik.Fit(), True), "hulls": (jaxik.Fit(parts=1), False)}
+SETTINGS = {
+    "default": (jaxik.FitOptions(), False),
+    "exact": (jaxik.FitOptions(), True),
+    "hulls": (jaxik.FitOptions(parts=1), False),
+}
 ROBOTS = {  # file under example-robot-data, tip, base
     "UR5": ("ur_description/urdf/ur5_robot.urdf", "ee_link", None),
     "xArm7": ("xarm_description/urdf/xarm7.urdf", "link_eef", None),
@@ -152,7 +156,7 @@ def off(meshes: Meshes, robot: jaxik.Robot, found: np.ndarray) -> dict[str, Any]
     return {"compared": len(rows), "off coal's at most [m]": float(np.abs(found[rows] - true).max(initial=0.0))}
 
 
-def measure(name: str, fit: jaxik.Fit, exact: bool, count: int, truth: dict[str, Any]) -> dict[str, Any]:
+def measure(name: str, fit: jaxik.FitOptions, exact: bool, count: int, truth: dict[str, Any]) -> dict[str, Any]:
     """One robot's row."""
     file, tip, base = ROBOTS[name]
     load = lambda: jaxik.load(FOLDER / file, tip=tip, base=base, meshes=True, fit=fit, posture={}, exact=exact)
@@ -209,13 +213,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("robot", nargs="*", help=", ".join(ROBOTS))
     parser.add_argument("--accuracy", type=float, help="one setting of one's own [m], instead of the default and hulls")
-    parser.add_argument("--most", type=int, default=jaxik.Fit().most)
-    parser.add_argument("--parts", type=int, default=jaxik.Fit().parts)
+    parser.add_argument("--most", type=int, default=jaxik.FitOptions().most)
+    parser.add_argument("--parts", type=int, default=jaxik.FitOptions().parts)
     parser.add_argument("--count", type=int, default=20_000)
     parser.add_argument("--json")
     given = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    settings = {"own": (jaxik.Fit(given.accuracy, given.most, given.parts), False)} if given.accuracy else SETTINGS
+    settings = (
+        {"own": (jaxik.FitOptions(accuracy=given.accuracy, most=given.most, parts=given.parts), False)}
+        if given.accuracy
+        else SETTINGS
+    )
     told: dict[str, Any] = {"count": given.count} | machine()
     truth: dict[str, Any] = {}
     for setting, (fit, exact) in settings.items():

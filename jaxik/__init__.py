@@ -15,7 +15,7 @@ from jaxik import analytic, collision, costs, dynamics, files, fitting, homotopy
 from jaxik.analytic import closed_form
 from jaxik.collision import Scene, clearance, collides, explain, make_scene, motion_clearance
 from jaxik.files import load, load_scene, load_targets, save
-from jaxik.fitting import Fit
+from jaxik.fitting import FitOptions
 from jaxik.ik import IKOptions, implicit_ik, solve_ik
 from jaxik.kinematics import Robot, Task, forward_kinematics, jacobian
 from jaxik.reasons import LoadError, Reason
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
-    "Fit",
+    "FitOptions",
     "IKOptions",
     "LoadError",
     "Reason",

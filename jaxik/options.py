@@ -15,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, Self, dataclass_transform, get_args
+from typing import Any, ClassVar, TypeVar, dataclass_transform, get_args
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from jaxik.checks.arrays import positive
 from jaxik.checks.options import among, as_count, check_choices, check_finite, check_flag, check_kind, shown
 
 REQUIRED = dataclasses.MISSING
+Own = TypeVar("Own", bound="Options")  # not Self, which beartype knows in classes alone that it decorates
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,9 +49,9 @@ def number(
     default: Any = REQUIRED,
     words: str,
     unit: str = "",
-    least: float = -math.inf,
-    above: float = -math.inf,
-    most: float = math.inf,
+    least: float | int = -math.inf,
+    above: float | int = -math.inf,
+    most: float | int = math.inf,
     optional: bool = False,
 ) -> Any:
     """A finite number of at least `least`, above `above`, and at most `most`; or None, where that is `optional`."""
@@ -61,13 +62,15 @@ def number(
         check_finite(who, least, **{name: value})
         if not above < value <= most:
             bound = f"above {above:g}" if value <= above else f"at most {most:g}"
-            raise ValueError(f"{who}: {name} is {shown(value)}; allowed: a finite number {bound}")
+            raise ValueError(f"{who}: {name} is {shown(value)}; allowed: a finite number {bound}{f' {unit}' if unit else ''}")
         return value
 
     return _declared(default, unit, words, kept)
 
 
-def count(*, default: Any = REQUIRED, words: str, least: int = 1, most: float = math.inf, also: tuple[Any, ...] = ()) -> Any:
+def count(
+    *, default: Any = REQUIRED, words: str, least: int = 1, most: float | int = math.inf, also: tuple[Any, ...] = ()
+) -> Any:
     """A whole number from `least` to `most`, or one of the words, or None, in `also`."""
     or_else = "".join(f", or {shown(each)}" if each is None else f', or "{each}"' for each in also)
 
@@ -147,7 +150,7 @@ class Options:
     def check(self) -> None:
         """Raises `ValueError` where fields do not go together. A subclass has its own."""
 
-    def changed(self, changes: dict[str, Any]) -> Self:
+    def changed(self: Own, changes: dict[str, Any]) -> Own:
         """The options with fields changed by name. Raises `ValueError` for a name that is no field's."""
         names = list(fields(type(self)))
         for name in changes:
@@ -156,7 +159,7 @@ class Options:
         return type(self)(**{name: getattr(self, name) for name in names} | changes) if changes else self
 
     @classmethod
-    def chosen(cls, options: Self | None, changes: dict[str, Any]) -> Self:
+    def chosen(cls: type[Own], options: Own | None, changes: dict[str, Any]) -> Own:
         """The `options` that a driver was given, or the defaults, with its `changes`. Raises `ValueError` for other objects and
         other names."""
         check_kind(cls.who, "options", options, cls, optional=True)

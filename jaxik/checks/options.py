@@ -12,7 +12,7 @@ from typing import Any, TypeVar, get_args
 import numpy as np
 
 Options = TypeVar("Options", bound=Any)
-TOP = ("Robot", "Fit", "IKOptions", "Scene", "Task")  # classes that `jaxik` itself shows
+TOP = ("Robot", "FitOptions", "IKOptions", "Scene", "Task")  # classes that `jaxik` itself shows
 HOMES = {"Body": "jaxik.dynamics", "Drive": "jaxik.dynamics", "Friction": "jaxik.dynamics"}  # shown elsewhere than defined
 READERS = {"Robot": "load", "Scene": "load_scene"}  # what reads a file that is given in the place of these
 

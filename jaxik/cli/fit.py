@@ -33,11 +33,11 @@ class FitArguments(RobotArguments):
 
     robot: tyro.conf.Positional[str]
     """A robot file with meshes (.urdf, .xml)."""
-    accuracy: float = 1e3 * jaxik.Fit().accuracy
+    accuracy: float = 1e3 * jaxik.FitOptions().accuracy
     """How far a capsule should reach beyond its part of the mesh, at most [mm]; the table says how far they do."""
-    most: int = jaxik.Fit().most
+    most: int = jaxik.FitOptions().most
     """Capsules a mesh, at most."""
-    parts: int = jaxik.Fit().parts
+    parts: int = jaxik.FitOptions().parts
     """Convex parts that a mesh is cut into, at most."""
     pairs: Checked = ()
     exact: bool = False
@@ -53,7 +53,7 @@ class FitArguments(RobotArguments):
             raise ValueError("--exact: keeps the meshes in a file; write --to MODEL.toml with it")
         if self.to is not None:
             check_writable(self.to, "--to")
-        fit = jaxik.Fit(self.accuracy / 1e3, self.most, self.parts)
+        fit = jaxik.FitOptions(accuracy=self.accuracy / 1e3, most=self.most, parts=self.parts)
         what = self.loading() | {"fit": fit, "pairs": checked_pairs(self.pairs)}
         start = time.perf_counter()
         with progress_bar() as bar:

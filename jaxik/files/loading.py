@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.checks.arrays import rigid_frame
-from jaxik.checks.options import check_finite, check_flag, check_kind, shown
+from jaxik.checks.options import check_finite, check_kind, shown
 from jaxik.collision.scene import Scene
 from jaxik.collision.self_collision_pairs import self_collisions
 from jaxik.files import scene as scene_files
@@ -25,143 +25,182 @@ from jaxik.files.robot_toml import load_toml, read_toml
 from jaxik.files.shipped import locate
 from jaxik.files.unchecked_pairs import asked_pairs, disabled_pairs, ignored
 from jaxik.files.urdf import load_urdf
-from jaxik.fitting.capsules import Fit
+from jaxik.fitting.capsules import FitOptions
 from jaxik.fitting.links import Shape, link_surfaces
 from jaxik.fitting.model import modelled
 from jaxik.fitting.report import FitReport, fit_of
 from jaxik.kinematics.robot import Robot, solid_links
+from jaxik.options import Options, anything, flag, instance
 from jaxik.reasons import LoadError
 
-FIT = Fit()
+FIT = FitOptions()  # this very object tells that none was given
 TOLD = 0.01  # of random configurations, in which a pair touches that is not checked
 APART = "leave out pairs that touch by design: ignore=, srdf= (--ignore, --srdf)"
 
 
+class LoadOptions(Options, who="load"):
+    """How a robot's file is read. Raises `ValueError` for `fit`, `pairs` or `exact` without `meshes`."""
+
+    tool: Any = anything(default=None, unit="m", words="tip_T_tool (4, 4): moves the tip")
+    meshes: Any = flag(
+        default=False,
+        words="read collision meshes and fit a model to them, which holds them: what is free by it is free. Without them a "
+        "URDF with meshes has its kinematics, and `clearance` says what is missing",
+    )
+    fit: Any = instance(
+        default=FIT,
+        kind=FitOptions,
+        optional=True,
+        words="how concave meshes are cut into convex parts, which decide where links are near, and fitted with capsules for "
+        "what is far; None puts one box around each mesh instead",
+    )
+    exact: Any = flag(
+        default=False,
+        words="let the meshes' own triangles (`robot.surfaces`) decide, for all that asks for distances, where the model comes "
+        "nearer than 25 mm, or the margin; it costs some times as much, and gives up no free room",
+    )
+    pairs: Any = anything(
+        default=(),
+        words='pairs of links to check in any case, `[("hand", "forearm")]`, or "all". Otherwise links are not checked that do '
+        "not move against each other, whose meshes touch in at least half of the random postures, or never do, and neighbours, "
+        "on either side of one joint; `robot.unchecked` lists them, with the reason",
+    )
+    srdf: Any = anything(
+        default=None,
+        words="a file whose `disable_collisions` pairs are not checked, nor those of its `disable_default_collisions` links "
+        "but for its `enable_collisions`. (What an MJCF's `exclude`, contype and conaffinity keep apart is not, either.)",
+    )
+    ignore: Any = anything(
+        default=(),
+        words="what is not checked, either: pairs of links, pairs of a link and an object of the scene, whose name is not "
+        "nearly a link's, and links that no object of a scene counts for",
+    )
+    posture: Any = anything(
+        default=None,
+        unit="rad, m",
+        words="where joints beside the chain are held, those of a head, a gripper, another arm, by their names: "
+        '`{"panda_finger_joint1": 0.04}`; others are at 0 (MJCF: the model\'s qpos0), or the limit that is nearest. Mimic '
+        "joints follow; one that a joint of the chain drives stands where that is 0. A warning names those whose links have "
+        "shapes, unless a posture is given: `{}` says that all of them are right so",
+    )
+    packages: Any = anything(
+        default=(),
+        words="folders of ROS packages, or that hold such. A mesh `package://my_pkg/meshes/a.stl` is `meshes/a.stl` in a "
+        "folder `my_pkg`: the nearest above the model's file, else one of these, else one that ROS finds (`ROS_PACKAGE_PATH`, "
+        "`AMENT_PREFIX_PATH`)",
+    )
+
+    def check(self) -> None:
+        if not self.meshes:
+            pairs = isinstance(self.pairs, str) or len(self.pairs)
+            for name, given in (("fit", self.fit is not FIT), ("pairs", pairs)):
+                if given:
+                    told = f"{name} is {shown(getattr(self, name))}, but no meshes are read"
+                    raise ValueError(f"load: {told}; write meshes=True, or leave it out")
+        if self.exact and (not self.meshes or self.fit is None):
+            mend = "write meshes=True, and leave fit=None out; a model that was saved exact is so without"
+            raise ValueError(f"load: exact is True, but no mesh is fitted; {mend}")
+        if self.posture is not None:
+            named = isinstance(self.posture, Mapping) and all(isinstance(name, str) for name in self.posture)
+            if not named:
+                raise ValueError(f'load: posture is {shown(self.posture)}; write {{"joint": value}} [rad, m]')
+            check_finite("load", **{f"posture['{shown(name)}']": value for name, value in self.posture.items()})
+
+
 def load(
-    source: str | Path,
-    tip: str | None = None,
-    base: str | None = None,
-    *,
-    tool: Any = None,
-    meshes: bool = False,
-    fit: Any = FIT,
-    srdf: str | Path | None = None,
-    ignore: Any = (),
-    pairs: Any = (),
-    exact: bool = False,
-    posture: Any = None,
-    packages: Any = (),
+    path: str | Path, tip: str | None = None, base: str | None = None, *, options: LoadOptions | None = None, **changes: Any
 ) -> Robot:
-    """The serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`. Host.
+    """Reads the serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`. Host.
 
     `tip` and `base` name links (bodies or a site in MJCF); without them the robot runs from the root to the only leaf.
-    `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes, cuts concave ones into convex parts, which decide
-    where links are near, and fits capsules for what is far (`fit`; None puts one box around each mesh instead); without it a
-    URDF with meshes has its kinematics, and `clearance` says what is missing.
+    `options` and `changes`, fields of `LoadOptions` by name, say how the file is read: `load("arm.urdf", meshes=True)`.
 
-    Links are checked against each other unless they do not move against each other, their meshes touch in at least half of the
-    random postures, or never do; nor are neighbours, on either side of one joint. `robot.unchecked` lists each pair that is not
-    checked, with the reason. `pairs` names more to check, `[("hand", "forearm")]`, or is "all".
+    All that hangs on the chain belongs to it, with shapes and masses; joints beside it are held (`posture`). What is above
+    `base` is left out, and what flies freely in an MJCF. Damping and dry friction of a URDF's and an MJCF's joints are in
+    `drives`, which are ideal otherwise: a current is a torque. A warning, one line each, tells what a file has besides that the
+    robot has not (springs, gravity of its own), and what it is likely to mean otherwise (limits in degrees).
 
-    The model holds the meshes: what is free by it is free. It gives up a little free room; with `exact=True` the meshes' own
-    triangles decide where it comes nearer than 25 mm, or the margin (`robot.surfaces`), for all that asks for distances. That
-    costs some times as much.
+    A mesh's name is a path from the file's folder, which stays below it (below the folder above, where the file's own is called
+    urdf, urdfs, xacro, robots, mjcf or xml), or `package://` (`packages`). Links are followed. DAE needs
+    `pip install "jaxik[dae]"`.
 
-    `srdf` names a file whose `disable_collisions` pairs
-    are not checked, nor those of its `disable_default_collisions` links but for its `enable_collisions`; nor what an MJCF's
-    `exclude`, contype and conaffinity keep apart. `ignore` lists what is not checked, either: pairs of links, pairs of a link
-    and an object of the scene, whose name is not nearly a link's, and links that no object of a scene counts for.
-
-    All that hangs on the chain belongs to it, with shapes and masses: joints beside it, those of a head, a gripper, another
-    arm, are held. `posture` says where, by their names [rad, m], `{"panda_finger_joint1": 0.04}`; others are at 0 (MJCF: the
-    model's qpos0), or the limit that is nearest. Mimic joints follow; one that a joint of the chain drives stands where that is
-    0. A warning names those whose links have shapes, unless a posture is given: `{}` says that all of them are right so. What
-    is above `base` is left out, and what flies freely in an MJCF.
-
-    Damping and dry friction of a URDF's and an MJCF's joints are in `drives`, which are ideal otherwise: a current is a torque.
-    A warning, one line each, tells what a file has besides that the robot has not (springs, gravity of its own), and what it is
-    likely to mean otherwise (limits in degrees).
-
-    A mesh `package://my_pkg/meshes/a.stl` is `meshes/a.stl` in a folder `my_pkg`: the nearest above the model's file, else one
-    that `packages` names, or that is in a folder that it names (one, or a list), else one that ROS finds (`ROS_PACKAGE_PATH`,
-    `AMENT_PREFIX_PATH`). Any other name is a path from the file's folder, which stays below it (below the folder above, where
-    the file's own is called urdf, urdfs, xacro, robots, mjcf or xml). Links are followed. DAE needs `pip install "jaxik[dae]"`.
-
-    Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend; and `ValueError` for a
-    `fit`, `pairs` or `exact` without `meshes`, for an `exact` file without any, for `packages` that are no folders, for a
-    `posture` that is no mapping of names to finite numbers, and for MJCF without MuJoCo (the extra `mjcf`).
+    Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend; and `ValueError` for
+    options that do not go together, for an `exact` file without meshes, and for MJCF without MuJoCo (the extra `mjcf`).
     """
-    path = locate(source)
-    tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)
-    check_kind("load", "fit", fit, Fit, optional=True)
-    if fit is not FIT and not meshes:
-        raise ValueError(f"load: fit is {shown(fit)}, but no meshes are read; write meshes=True, or leave it out")
-    if not meshes and (isinstance(pairs, str) or len(pairs)):
-        raise ValueError(f"load: pairs is {shown(pairs)}, but no meshes are read; write meshes=True, or leave it out")
-    check_flag("load", exact=exact)
-    if exact and (not meshes or fit is None):
-        mend = "write meshes=True, and leave fit=None out; a model that was saved exact is so without"
-        raise ValueError(f"load: exact is True, but no mesh is fitted; {mend}")
-    stance, shapes_of = _stance("load", posture), Meshes(meshes, meshes and fit is not None, as_packages("load", packages))
-    robot, shapes, saved = _read(path, tip, base, tool, shapes_of, stance, notes := Notes())
-    asked = asked_pairs(path, robot, pairs)
-    apart, beside = ignored(path, robot, ignore)
-    disabled = apart | notes.apart | disabled_pairs(srdf, notes.links or robot.link_names, notes)
+    asked = LoadOptions.chosen(options, changes)
+    read = _Read.of(path, tip, base, asked, asked.fit is not None)
+    robot, shapes, notes, stance = read.robot, read.shapes, read.notes, read.stance
+    pairs, beside = read.pairs(asked)
     for line in notes.lines():
         warnings.warn(f"{shown(robot.name)}: {line}", stacklevel=2)
     robot = dataclasses.replace(robot, ignored=tuple(dict.fromkeys(robot.ignored + beside)))
-    if posture is None and not robot.unread_meshes and (told := stance.told(_solid(robot, shapes))):
+    if asked.posture is None and not robot.unread_meshes and (told := stance.told(_solid(robot, shapes))):
         warnings.warn(f"{shown(robot.name)}: {told}", stacklevel=2)
-    if exact and not shapes and not robot.surfaces:
-        raise ValueError(f"load: exact is True, but {path.name} has no meshes; leave it out: its shapes are what is measured")
-    if saved is not None:
+    if asked.exact and not shapes and not robot.surfaces:
+        mend = "leave it out: its shapes are what is measured"
+        raise ValueError(f"load: exact is True, but {read.path.name} has no meshes; {mend}")
+    if read.saved is not None:
         names = robot.link_names
-        kept = tuple(pair for pair in saved if frozenset(names[i] for i in pair) not in disabled)
+        kept = tuple(pair for pair in read.saved if frozenset(names[i] for i in pair) not in pairs.apart)
         return dataclasses.replace(robot, self_pairs=kept)
-    if shapes:
-        model = modelled(robot, shapes, fit, dataclasses.replace(asked, apart=disabled), stance.behind)
+    if shapes and asked.fit is not None:
+        model = modelled(robot, shapes, asked.fit, pairs, stance.behind)
         _tell(robot, "meshes", model.at_home, model.colliding)
         modelled_robot = model.of(robot, shapes)
         _tell_unchecked(modelled_robot)
-        surfaces = link_surfaces(robot, shapes) if exact else ()
+        surfaces = link_surfaces(robot, shapes) if asked.exact else ()
         return dataclasses.replace(modelled_robot, surfaces=surfaces)
-    found = self_collisions(robot, disabled, stance.behind)
-    if meshes:
+    found = self_collisions(robot, pairs.apart, stance.behind)
+    if asked.meshes:
         _tell(robot, "boxes", dict.fromkeys(found.at_home), found.share)
     return dataclasses.replace(robot, self_pairs=found.pairs)
+
+
+@dataclasses.dataclass
+class _Read:
+    """What a file holds: the robot, the shapes that are to be fitted, the pairs of links to check where the file says them,
+    what there is to tell, and how joints beside the chain are held."""
+
+    path: Path
+    robot: Robot
+    shapes: list[Shape]
+    saved: tuple[tuple[int, int], ...] | None
+    notes: Notes
+    stance: Posture
+
+    @staticmethod
+    def of(path: str | Path, tip: str | None, base: str | None, asked: LoadOptions, fitted: bool) -> _Read:
+        """Reads a file; meshes are shapes if they are `fitted`, else boxes."""
+        path, notes, stance = locate(path), Notes(), Posture(dict(asked.posture or {}))
+        tool = None if asked.tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", asked.tool), np.float64)
+        meshes = Meshes(asked.meshes, asked.meshes and fitted, as_packages("load", asked.packages))
+        kind, readers = path.suffix.lower(), {".urdf": load_urdf, ".xml": load_mjcf, ".mjcf": load_mjcf}
+        saved = None
+        if kind == ".toml":
+            model = read_toml(path)
+            if model.content.get("convention") == "chain":
+                robot = _saved(path, read_robot(model), tip, base, tool, stance)
+                saved = robot.self_pairs
+            else:
+                robot = load_toml(model, tip, base, tool, stance)
+        elif kind in readers:
+            robot = readers[kind](path, tip, base, tool, meshes, stance, notes)
+        else:
+            expand = f"; expand a xacro: xacro {path.name} > {path.name.partition('.')[0]}.urdf" if kind == ".xacro" else ""
+            raise LoadError(path, "file", f"ending '{kind}'", f"allowed: .urdf, .xml (MJCF), .toml{expand}")
+        return _Read(path, robot, [] if saved is not None else meshes.shapes(robot), saved, notes, stance)
+
+    def pairs(self, asked: LoadOptions) -> tuple[Any, Any]:
+        """Which pairs of links are checked, or not, in any case; and the objects that links ignore."""
+        wanted = asked_pairs(self.path, self.robot, asked.pairs)
+        apart, beside = ignored(self.path, self.robot, asked.ignore)
+        apart |= self.notes.apart | disabled_pairs(asked.srdf, self.notes.links or self.robot.link_names, self.notes)
+        return dataclasses.replace(wanted, apart=apart), beside
 
 
 def _solid(robot: Robot, shapes: Iterable[Shape]) -> set[str]:
     """The names of the links that have shapes, be they still to be fitted."""
     return {robot.link_names[i] for i in {*solid_links(robot), *(shape.link for shape in shapes)}}
-
-
-def _stance(who: str, posture: Any) -> Posture:
-    """What a caller says of joints beside the chain."""
-    if posture is not None and not (isinstance(posture, Mapping) and all(isinstance(name, str) for name in posture)):
-        raise ValueError(f'{who}: posture is {shown(posture)}; write {{"joint": value}} [rad, m]')
-    for name, value in (posture or {}).items():
-        check_finite(who, **{f"posture['{shown(name)}']": value})
-    return Posture(dict(posture or {}))
-
-
-def _read(
-    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, posture: Posture, notes: Notes
-) -> tuple[Robot, list[Shape], tuple[tuple[int, int], ...] | None]:
-    """The robot of a file, the shapes that are to be fitted, and the pairs of links to check where the file says them."""
-    kind, readers = path.suffix.lower(), {".urdf": load_urdf, ".xml": load_mjcf, ".mjcf": load_mjcf}
-    if kind == ".toml":
-        model = read_toml(path)
-        if model.content.get("convention") == "chain":
-            robot = _saved(path, read_robot(model), tip, base, tool, posture)
-            return robot, [], robot.self_pairs
-        robot = load_toml(model, tip, base, tool, posture)
-    elif kind in readers:
-        robot = readers[kind](path, tip, base, tool, meshes, posture, notes)
-    else:
-        expand = f"; expand a xacro: xacro {path.name} > {path.name.partition('.')[0]}.urdf" if kind == ".xacro" else ""
-        raise LoadError(path, "file", f"ending '{kind}'", f"allowed: .urdf, .xml (MJCF), .toml{expand}")
-    return robot, meshes.shapes(robot), None
 
 
 def _saved(path: Path, robot: Robot, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Robot:
@@ -211,51 +250,39 @@ def _some(words: Iterable[str]) -> str:
 
 
 def fit_report(
-    source: str | Path,
+    path: str | Path,
     tip: str | None = None,
     base: str | None = None,
     *,
-    fit: Fit = FIT,
-    srdf: str | Path | None = None,
-    ignore: Any = (),
-    pairs: Any = (),
-    posture: Mapping[str, Any] | None = None,
-    packages: Any = (),
+    options: LoadOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
+    **changes: Any,
 ) -> FitReport:
-    """What `load(..., meshes=True, fit=fit)` puts around each mesh of a file, which pairs of links it checks, and at which
+    """Tells what `load(path, ..., meshes=True)` puts around each mesh of a file, which pairs of links it checks, and at which
     values it holds joints beside the chain, as those of a hand. Host.
 
-    `progress` hears of how many fits are made, of how many. Raises `LoadError` as `load` does.
+    `options` and `changes` are those of `load`, meshes being read in any case. `progress(done, total)` hears of the fits that
+    are made. Raises `LoadError` and `ValueError` as `load` does.
     """
-    path = locate(source)
-    check_kind("fit_report", "fit", fit, Fit)
-    stance = _stance("fit_report", posture)
-    robot, shapes, _ = _read(
-        path, tip, base, None, Meshes(True, True, as_packages("fit_report", packages)), stance, notes := Notes()
-    )
-    disabled = disabled_pairs(srdf, notes.links or robot.link_names, notes) | ignored(path, robot, ignore)[0] | notes.apart
-    asked = dataclasses.replace(asked_pairs(path, robot, pairs), apart=disabled)
-    model = modelled(robot, shapes, fit, asked, stance.behind, progress)
-    return fit_of(robot, shapes, model, stance.joints(_solid(robot, shapes)))
+    asked = LoadOptions.chosen(options, {"meshes": True} | changes)
+    check_kind("fit_report", "fit", asked.fit, FitOptions)
+    assert asked.fit is not None
+    read = _Read.of(path, tip, base, asked, True)
+    model = modelled(read.robot, read.shapes, asked.fit, read.pairs(asked)[0], read.stance.behind, progress)
+    return fit_of(read.robot, read.shapes, model, read.stance.joints(_solid(read.robot, read.shapes)))
 
 
 def link_meshes(
-    source: str | Path,
-    tip: str | None = None,
-    base: str | None = None,
-    posture: Mapping[str, Any] | None = None,
-    packages: Any = (),
+    path: str | Path, tip: str | None = None, base: str | None = None, *, options: LoadOptions | None = None, **changes: Any
 ) -> list[Shape]:
-    """The collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look at.
-    Host."""
-    shapes_of = Meshes(True, True, as_packages("link_meshes", packages))
-    return _read(locate(source), tip, base, None, shapes_of, _stance("link_meshes", posture), Notes())[1]
+    """Returns the collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look
+    at: for `view.Page`. `options` and `changes` are those of `load`. Host."""
+    return _Read.of(path, tip, base, LoadOptions.chosen(options, {"meshes": True} | changes), True).shapes
 
 
-def load_scene(source: str | Path) -> Scene:
-    """A shipped scene (`"cucumber_row"`) or a scene file: `.toml`, or labelled points as `.csv` or `.ply`. Host.
+def load_scene(path: str | Path) -> Scene:
+    """Reads a shipped scene (`"cucumber_row"`) or a scene file: `.toml`, or labelled points as `.csv` or `.ply`. Host.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend.
     """
-    return scene_files.load_scene(locate(source, "scene"))
+    return scene_files.load_scene(locate(path, "scene"))

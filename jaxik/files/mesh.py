@@ -121,7 +121,7 @@ def resolve(path: Path, where: str, name: str, below: Path | None = None, packag
     return target
 
 
-def load_mesh(path: str | Path, frame: Any = None, scale: Any = 1.0) -> np.ndarray:
+def load_mesh(path: str | Path, *, frame: Any = None, scale: Any = 1.0) -> np.ndarray:
     """The triangles (k, 3, 3) [m] of a mesh file, for a scene: `SceneBuilder.add(name, triangles=load_mesh("pot.stl"))`. Host.
 
     `scale` is a metre's part that the file's unit is (0.001: millimetres), or one along each axis; `frame` (4, 4) is where the

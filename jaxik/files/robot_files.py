@@ -27,7 +27,7 @@ JOINT |= {limit: limit for limit in ("lower", "upper", "velocity", "effort", "ar
 LINK = {"name": "link_names", "joint": "link_joint", "frame": "link_offset"}
 
 
-def save(robot: Robot, path: str | Path, beyond: float = 0.005) -> float:
+def save(robot: Robot, path: str | Path, *, beyond: float = 0.005) -> float:
     """Writes a robot with its collision model: `.toml`, which `load` gives back to the last bit; or `.urdf`, each volume as
     spheres that reach at most `beyond` [m] further than it. Returns how far they do [m], 0 for TOML. Host.
 

@@ -107,7 +107,7 @@ def _mesh(table: Table) -> np.ndarray:
     target = resolve(table.path, table.where, name, table.path.resolve().parent)
     if target is None or not os.path.isfile(target):
         raise table.fail(f"mesh '{name}' is not found", f"put it at {target}" if target else "give a path from this file on")
-    return load_mesh(target, place, scale).reshape(-1, 9)
+    return load_mesh(target, frame=place, scale=scale).reshape(-1, 9)
 
 
 def _from_csv(path: Path) -> Scene:

@@ -11,15 +11,14 @@ for.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.checks.options import shown
 from jaxik.fitting.capsule_descent import DESCENT
 from jaxik.fitting.convex import directions, hull_of
+from jaxik.options import Options, count, number
 from jaxik.spmd.batch import in_blocks
 
 ROUNDING = 1e-9  # [m] that a radius has in addition, for what places its capsule in the world
@@ -30,25 +29,19 @@ WORTH = 0.2  # of its longest side that a piece's other side has at least, to be
 ROOMS = (128, 512, 2048)  # planes that kernels are made for
 
 
-@dataclasses.dataclass(frozen=True)
-class Fit:
-    """How links' collision meshes become convex parts and capsules. A concave mesh is cut into `parts`, so many at most, where
-    other links pass. Around the mesh, or the two parts that it is cut into first, go as few capsules as come within `accuracy`
-    [m] of these; where `most` a mesh, and three a part, are too few for that, as close as these come. What was reached is told
-    by `fit_report`. Raises `ValueError` for what is none of these."""
+class FitOptions(Options, who="FitOptions"):
+    """How links' collision meshes become convex parts and capsules. What was reached is told by `files.fit_report`."""
 
-    accuracy: Any = 0.025
-    most: Any = 24
-    parts: Any = 32
-
-    def __post_init__(self) -> None:
-        number = isinstance(self.accuracy, int | float | np.number) and not isinstance(self.accuracy, bool | np.bool_)
-        if not (number and 1e-4 <= float(self.accuracy) <= 0.2):
-            raise ValueError(f"Fit: accuracy={shown(self.accuracy)}; allowed: 0.0001 to 0.2, in metres; 10 mm is 0.01")
-        for name, what, limit in (("most", "capsules a mesh", 256), ("parts", "convex parts a mesh", 64)):
-            value = getattr(self, name)
-            if not (isinstance(value, int | np.integer) and not isinstance(value, bool) and 1 <= value <= limit):
-                raise ValueError(f"Fit: {name}={shown(value)} {what}; allowed: 1 to {limit}")
+    accuracy: Any = number(
+        default=0.025,
+        unit="m",
+        least=1e-4,
+        most=0.2,
+        words="as few capsules as come so close go around the mesh, or the two parts that it is cut into first; where `most` a "
+        "mesh, and three a part, are too few for that, as close as these come",
+    )
+    most: Any = count(default=24, most=256, words="capsules a mesh, at most")
+    parts: Any = count(default=32, most=64, words="convex parts a mesh, at most; it is cut where other links pass")
 
 
 class Fitted(NamedTuple):
@@ -84,7 +77,7 @@ class _Piece(NamedTuple):
     excess: float
 
 
-def fitted(points: np.ndarray, fit: Fit) -> Fitted:
+def fitted(points: np.ndarray, fit: FitOptions) -> Fitted:
     """Capsules that hold the convex hull of `points` (p, 3) [m]."""
     points = np.asarray(points, np.float64)
     unit = SIZE / max(float(np.ptp(points, axis=0).max()), THICK)

@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.collision.surface_trees import surface_of
-from jaxik.fitting.capsules import Fit
+from jaxik.fitting.capsules import FitOptions
 from jaxik.fitting.convex import Body, apart_at_least, depths, gaps, hull_of, separated
 from jaxik.fitting.link_distance_tables import Places, between, frames
 from jaxik.fitting.parts import best_cut, divided, divisions
@@ -99,7 +99,7 @@ class Pass(NamedTuple):
 class Links:
     """The links' surfaces and their convex parts in random configurations, the default pose before them."""
 
-    def __init__(self, robot: Robot, shapes: Sequence[Shape], fit: Fit, asked: Asked, aside: Collection[str]):
+    def __init__(self, robot: Robot, shapes: Sequence[Shape], fit: FitOptions, asked: Asked, aside: Collection[str]):
         self.robot, self.shapes, self.fit, self.asked, self.aside = robot, shapes, fit, asked, aside
         self.names = robot.link_names
         # hulls let go of Python's lock

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.collision import distance
-from jaxik.fitting.capsules import Fit, Fitted, fitted, joined
+from jaxik.fitting.capsules import FitOptions, Fitted, fitted, joined
 from jaxik.fitting.convex import Body
 from jaxik.fitting.link_distance_tables import between, side_of, table_of
 from jaxik.fitting.links import NEAR, NOTHING_ASKED, Asked, Hits, Links, Pair, Pass, Shape
@@ -79,7 +79,7 @@ class Model(NamedTuple):
 def modelled(
     robot: Robot,
     shapes: Sequence[Shape],
-    fit: Fit,
+    fit: FitOptions,
     asked: Asked = NOTHING_ASKED,
     aside: Collection[str] = (),
     progress: Callable[[int, int], None] | None = None,

@@ -14,7 +14,13 @@ from jaxik.collision.scene import Scene
 from jaxik.files import load, load_scene
 from jaxik.files.robot_toml import UNITS, Table
 from jaxik.files.targets import read_targets
+<<<<<<< HEAD
 from jaxik.fitting.capsules import Fit
+=======
+from jaxik.fitting.capsules import FitOptions
+from jaxik.harvesting.grasp import Grasp
+from jaxik.harvesting.scanning import Weights
+>>>>>>> bb30c77 (Say once, in LoadOptions, how a robot's file is read, and make Fit FitOptions)
 from jaxik.ik.options import IKOptions
 from jaxik.kinematics.reach_bound import millimetres
 from jaxik.kinematics.robot import Robot
@@ -105,7 +111,9 @@ def _robot(row: Table, folder: Path, ignore: list[Any]) -> tuple[str, Robot]:
         options["srdf"] = _file(folder, row.text("srdf"))
     fit = row.table("fit")
     if fit.content:
-        options["fit"] = Fit(fit.number("accuracy", "length", Fit().accuracy), fit.count("most", Fit().most))
+        options["fit"] = FitOptions(
+            accuracy=fit.number("accuracy", "length", FitOptions().accuracy), most=fit.count("most", FitOptions().most)
+        )
     if "posture" in given:  # where joints beside the chain are held [rad, m]
         held = row.table("posture")
         options["posture"] = {joint: held.number(joint, "plain") for joint in held.content}

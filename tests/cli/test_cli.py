@@ -458,7 +458,7 @@ def test_a_fit_is_told_and_written(tmp_path, monkeypatch, capsys):
     for name in ("model.toml", "model.urdf"):
         call(monkeypatch, "fit", tmp_path / "arm.urdf", "--accuracy", 15, "--to", tmp_path / name)
         *table, counts, wrote = capsys.readouterr().out.splitlines()
-        robot = jaxik.load(tmp_path / "arm.urdf", meshes=True, fit=jaxik.Fit(0.015))
+        robot = jaxik.load(tmp_path / "arm.urdf", meshes=True, fit=jaxik.FitOptions(accuracy=0.015))
         parts, volumes = len(robot.convex_parts), len(robot.volumes)
         assert counts.startswith(f"{parts} convex parts, {volumes} volumes, 1 pairs of links to check, ")
         rows = [[word.strip() for word in line.split("\u2502")[1:-1]] for line in table if line.startswith("\u2502")]

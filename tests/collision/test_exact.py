@@ -22,7 +22,7 @@ from jaxik.kinematics import link_frames
 def arm(tmp_path_factory):
     """By a model of its hulls alone, and exact."""
     path = arm_file(tmp_path_factory.mktemp("arm"))
-    fit = jaxik.Fit(parts=1)
+    fit = jaxik.FitOptions(parts=1)
     return dataclasses.replace(jaxik.load(path, meshes=True, fit=fit), convex_parts=()), jaxik.load(
         path, meshes=True, exact=True, fit=fit
     )

@@ -259,7 +259,7 @@ def test_what_is_held_is_hit(tmp_path, name):
     path = cut(tmp_path, file, solid)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # pairs that touch in the default pose: they are left out below, too
-        robot = jaxik.load(path, tip=tip, meshes=True, fit=jaxik.Fit(0.03, 4), posture=posture)
+        robot = jaxik.load(path, tip=tip, meshes=True, fit=jaxik.FitOptions(accuracy=0.03, most=4), posture=posture)
     q = np.random.default_rng(3).uniform(*robot.finite_limits, (1500, robot.num_joints))
     joint = dict(zip(robot.link_names, robot.link_joint, strict=True))
     home = np.where((robot.lower <= 0.0) & (robot.upper >= 0.0), 0.0, (robot.lower + robot.upper) / 2.0)

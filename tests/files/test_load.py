@@ -773,7 +773,9 @@ def test_srdf_disables_pairs(tmp_path):
     def checked(name, kept):
         entries = ['<disable_collisions link1="{}" link2="{}" reason="Never"/>'.format(*p) for p in pairs if p not in kept]
         srdf = write(tmp_path, name, f'<robot name="panda">{"".join(entries)}</robot>')
-        robot = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=jaxik.Fit(0.1, 2), srdf=srdf, posture={})
+        robot = jaxik.load(
+            FOLDER / file, tip=tip, meshes=True, fit=jaxik.FitOptions(accuracy=0.1, most=2), srdf=srdf, posture={}
+        )
         return {frozenset((robot.link_names[a], robot.link_names[b])) for a, b in robot.self_pairs}
 
     assert checked("two.srdf", (left, out)) == {left, out} and checked("one.srdf", (left,)) == {left}

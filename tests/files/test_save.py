@@ -27,7 +27,7 @@ def test_a_robot_is_read_as_it_was_written(tmp_path, name):
 def test_a_fitted_model_is_read_as_it_was_written(tmp_path):
     file, tip = ROBOTS["panda"]
     left = ["panda_link0", ("panda_link2", 'a "table"')]
-    robot = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=jaxik.Fit(0.1, 2), ignore=left, posture={})
+    robot = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=jaxik.FitOptions(accuracy=0.1, most=2), ignore=left, posture={})
     assert robot.ignored == ((robot.link_names.index("panda_link0"), "*"), (robot.link_names.index("panda_link2"), 'a "table"'))
     jaxik.save(robot, tmp_path / "panda.toml")
     again = jaxik.load(tmp_path / "panda.toml")

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import jaxik
 from jaxik.fitting import capsules as fitting
 from jaxik.fitting import model as robot_fit
-from jaxik.fitting.capsules import Fit, fitted
+from jaxik.fitting.capsules import FitOptions, fitted
 from jaxik.fitting.convex import Body, overlap, separated
 
 ROUNDING = 1e-9
@@ -62,7 +62,7 @@ def away(points, found):
 def test_the_hull_is_held(name):
     """Every corner and every sample of the hull's inside lies in a capsule."""
     points = MESHES[name]
-    found = fitted(points, Fit(0.01, 6))
+    found = fitted(points, FitOptions(accuracy=0.01, most=6))
     mixed = np.random.default_rng(0).dirichlet(np.full(len(points), 0.2), 300) @ points
     inside = away(np.concatenate([points, mixed]), found).min(axis=0)
     assert inside.max() <= 1e-7  # coal's tolerance; the numbers themselves hold it to rounding
@@ -75,7 +75,7 @@ def test_the_hull_is_held(name):
 def test_the_protrusion_is_what_is_told(name):
     """No sample of a capsule's surface lies further from the hull, and some lie as far (coal)."""
     points = MESHES[name]
-    found = fitted(points, Fit(0.01, 6))
+    found = fitted(points, FitOptions(accuracy=0.01, most=6))
     corners = coal.StdVec_Vec3s()
     for point in points:
         corners.append(point)
@@ -95,9 +95,9 @@ def test_the_protrusion_is_what_is_told(name):
 
 
 def test_more_capsules_come_closer():
-    few, more = (fitted(MESHES["cylinder"], Fit(0.001, most)).protrusion.max() for most in (2, 16))
+    few, more = (fitted(MESHES["cylinder"], FitOptions(accuracy=0.001, most=most)).protrusion.max() for most in (2, 16))
     assert more < 0.7 * few
-    assert len(fitted(MESHES["cylinder"], Fit(0.03)).radii) < 4  # and no more than the accuracy asks for
+    assert len(fitted(MESHES["cylinder"], FitOptions(accuracy=0.03)).radii) < 4  # and no more than the accuracy asks for
 
 
 @pytest.fixture
@@ -106,7 +106,7 @@ def arm(tmp_path):
 
 
 def test_a_model_is_made_once_and_the_same_again(arm, tmp_path, monkeypatch):
-    cache, coarse = tmp_path / "empty", Fit(0.1, 2)  # quickly made
+    cache, coarse = tmp_path / "empty", FitOptions(accuracy=0.1, most=2)  # quickly made
     monkeypatch.setattr("jaxik.spmd.cache.cache_folder", lambda: cache)
     first = jaxik.load(arm, meshes=True, fit=coarse)
     (file,) = cache.glob("jaxik_fit_*")
@@ -125,31 +125,32 @@ def test_a_model_is_made_once_and_the_same_again(arm, tmp_path, monkeypatch):
         assert again.volumes == first.volumes and again.ignored and np.array_equal(again.joint_T_tip, first.joint_T_tip @ tool)
         write(arm.parent, "arm.urdf", ARM.replace('robot name="', 'robot name="another_'))
         assert jaxik.load(arm, meshes=True, fit=coarse).volumes == first.volumes
-    jaxik.load(arm, meshes=True, fit=Fit(0.1, 1))
+    jaxik.load(arm, meshes=True, fit=FitOptions(accuracy=0.1, most=1))
     assert len(list(cache.glob("jaxik_fit_*"))) == 2
 
 
 @pytest.mark.parametrize(
     "options, words",
     [
-        ({"accuracy": 0.0}, "accuracy=0.0; allowed: 0.0001 to 0.2, in metres"),
-        ({"accuracy": float("nan")}, "accuracy=nan"),
-        ({"accuracy": "4 mm"}, "accuracy=4 mm"),
-        ({"most": 0}, "most=0 capsules a mesh; allowed: 1 to 256"),
-        ({"most": 2.5}, "most=2.5"),
-        ({"most": True}, "most=True"),
+        ({"accuracy": 0.0}, "accuracy is 0.0; it is a finite number of at least 0.0001"),
+        ({"accuracy": float("nan")}, "accuracy is nan"),
+        ({"accuracy": "4 mm"}, "accuracy is 4 mm"),
+        ({"most": 0}, "most is 0; allowed: a count"),
+        ({"most": 257}, "most is 257; at most 256"),
+        ({"most": 2.5}, "most is 2.5"),
+        ({"most": True}, "most is True"),
     ],
 )
 def test_bad_options_are_one_line(options, words):
     with pytest.raises(ValueError) as caught:
-        Fit(**options)
+        FitOptions(**options)
     assert words in str(caught.value) and "\n" not in str(caught.value)
-    with pytest.raises(ValueError, match=r"write a jaxik\.Fit"):
+    with pytest.raises(ValueError, match=r"write a jaxik\.FitOptions"):
         jaxik.load(FOLDER / ROBOTS["panda"][0], tip="panda_link8", meshes=True, fit="close")
 
 
 def test_a_fit_without_meshes_is_refused():
-    for fit in (Fit(0.01), None):
+    for fit in (FitOptions(accuracy=0.01), None):
         with pytest.raises(ValueError, match=r"^load: fit is .* meshes=True"):
             jaxik.load("planar2", fit=fit)
     assert jaxik.load("planar2") == jaxik.load("planar2", meshes=True)
@@ -160,9 +161,9 @@ def test_a_report_says_what_was_fitted(tmp_path):
     trimesh.creation.box((100.0, 100.0, 400.0)).export(tmp_path / "bar.stl")
     mesh = '<link name="tool"><collision><origin xyz="0 0 0.5"/><geometry><mesh filename="bar.stl" scale="0.001 0.001 0.001"/>'
     path = write(tmp_path, "arm.urdf", URDF.replace('<link name="tool"/>', mesh + "</geometry></collision></link>"))
-    (told,) = jaxik.files.fit_report(path, fit=Fit(0.03)).links
+    (told,) = jaxik.files.fit_report(path, fit=FitOptions(accuracy=0.03)).links
     assert told.link == "tool" and told.mesh == "bar.stl" and 0.0 < told.mean < told.protrusion <= 0.03
-    robot = jaxik.load(path, meshes=True, fit=Fit(0.03))
+    robot = jaxik.load(path, meshes=True, fit=FitOptions(accuracy=0.03))
     fitted_here = [v for v in robot.volumes if robot.link_names[v.link] == "tool"]
     assert len(fitted_here) == told.capsules and not robot.unread_meshes
     assert {len(v.corners) for v in fitted_here} == {2}
@@ -174,7 +175,9 @@ def test_a_default_pose_in_collision_is_told():
     """Panda's hand lies in link 5 where all joints are 0: that is a collision as any other."""
     file, _ = ROBOTS["panda"]
     with pytest.warns(UserWarning, match="touch with all joints at 0 .* panda_link5 and panda_hand by .* they are checked"):
-        robot = jaxik.load(FOLDER / file, tip="panda_hand", meshes=True, fit=Fit(0.1, 2, 1), posture={})  # quickly made
+        robot = jaxik.load(
+            FOLDER / file, tip="panda_hand", meshes=True, fit=FitOptions(accuracy=0.1, most=2, parts=1), posture={}
+        )  # quickly made
     named = {frozenset((robot.link_names[a], robot.link_names[b])) for a, b in robot.self_pairs}
     assert {frozenset(("panda_link5", "panda_hand")), frozenset(("panda_link0", "panda_link6"))} <= named
     assert jaxik.collides(robot, None, np.zeros(7))

@@ -157,7 +157,7 @@ def test_a_concave_link_leaves_room(forked):
     says = np.asarray(jax.vmap(lambda q: jaxik.collides(robot, None, q))(q))
     assert 0.2 < true.mean() < 0.8 and not np.any(true & ~says)
     assert np.mean(says[~true]) < 0.05
-    hull = jaxik.load(path, tip="tip", meshes=True, fit=jaxik.Fit(parts=1))
+    hull = jaxik.load(path, tip="tip", meshes=True, fit=jaxik.FitOptions(parts=1))
     assert np.mean(np.asarray(jax.vmap(lambda q: jaxik.collides(hull, None, q))(q))[~true]) > 0.2
 
 

@@ -9,6 +9,7 @@ import pytest
 from robots import bare, pinocchio
 
 import jaxik
+from jaxik.files.shipped import models_folder
 
 STEP = 1e-4
 RELATIVE = 1e-3  # of differences over the tolerance of the solver
@@ -128,7 +129,7 @@ def test_by_link_length_with_limits_held(pendulum):
 @pytest.fixture
 def beads(tmp_path):
     """The pendulum with a sphere at each link's end: next to boxes only points have second derivatives."""
-    text = (jaxik.files.models_folder() / "pendulum4.toml").read_text()
+    text = (models_folder() / "pendulum4.toml").read_text()
     text = text.replace(
         '"capsule"\npoints = [[0, 0, 0], [0, 1, 0]]\nradius = 0', '"sphere"\npoints = [[0, 1, 0]]\nradius = 0.02'
     )
