@@ -14,13 +14,7 @@ from jaxik.collision.scene import Scene
 from jaxik.files import load, load_scene
 from jaxik.files.robot_toml import UNITS, Table
 from jaxik.files.targets import read_targets
-<<<<<<< HEAD
-from jaxik.fitting.capsules import Fit
-=======
 from jaxik.fitting.capsules import FitOptions
-from jaxik.harvesting.grasp import Grasp
-from jaxik.harvesting.scanning import Weights
->>>>>>> bb30c77 (Say once, in LoadOptions, how a robot's file is read, and make Fit FitOptions)
 from jaxik.ik.options import IKOptions
 from jaxik.kinematics.reach_bound import millimetres
 from jaxik.kinematics.robot import Robot
