@@ -1,8 +1,8 @@
-"""Which joints of a robot are solved, by which closed form, and which are given.
+"""Chooses which joints of a robot are solved, by which closed form, and which are given.
 
 Six neighbouring joints are solved (seven over the arm angle); those before and after them are given: a rail, a lift, a first
-joint, a last one. All that a family needs is read off the robot's numbers, so no robot is known by its name. Of all blocks of
-neighbours, and of all families, the one that costs least is taken; among equals the one that leaves fewest joints behind it.
+joint, a last one. All that a family needs is read off the robot's numbers, so no robot is known by its name. The cheapest of
+all blocks of neighbours and all families is taken; among equals the one that leaves fewest joints behind it.
 """
 
 from __future__ import annotations
@@ -68,18 +68,20 @@ class Solver(NamedTuple):
         return [i for i in range(self.robot.num_joints) if i not in self.solved]
 
     def split(self, given: Any) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
-        """Of what is given, the joints before the solved ones, the family's own parameters, and the joints after."""
+        """Splits the given values into the joints before the solved ones, the family's own parameters, and the joints after."""
         end = self.first + self.family.parameters
         given = [given[i] for i in range(len(self.given_joints) + self.family.parameters)]
         return given[: self.first], given[self.first : end], given[end:]
 
     def joined(self, of_joints: Any, own: Any) -> list[Any]:
-        """The inverse of `split`: of one entry a joint those of the given joints, with the family's `own` in their place."""
+        """Picks the given joints' entries out of one a joint, with the family's `own` in their place: the inverse of
+        `split`."""
         given = [of_joints[i] for i in self.given_joints]
         return [*given[: self.first], *own, *given[self.first :]]
 
     def target(self, pose: Any, given: Any) -> Frame:
-        """Where the solved joints have to bring the frame of the last of them (or the tip), from where they are mounted."""
+        """Returns the frame to which the solved joints must bring the last of them (or the tip), seen from where they are
+        mounted."""
         before, _, after = self.split(given)
         target = Frame.of_entries(traced(pose))
         if before:
@@ -91,8 +93,8 @@ class Solver(NamedTuple):
         return target
 
     def half_branches(self, pose: Any, given: Any, signs: Signs = ALL, within: float = 0.0) -> list[HalfBranch]:
-        """The half branches of a pose (4, 4), their `turns` by number in the robot; as balls, of all poses whose entries are
-        `within` so much of it, if that is not 0."""
+        """Returns the half branches of a pose (4, 4), their `turns` by number in the robot; as balls for all poses whose
+        entries differ by up to `within`, if that is not 0."""
         eps = max(float(np.finfo(pose.dtype).eps), 4.0 * self.misfit)  # a rounded right angle counts as one
         target = self.target(pose, given)
         if within:
@@ -101,19 +103,19 @@ class Solver(NamedTuple):
         return [half._replace(turns={i + self.first: turn for i, turn in half.turns.items()}) for half in halves]
 
     def joints(self, given: Any, angles: Any) -> list[Scalar]:
-        """All joints of the robot (n,): the given ones about the angles that were found."""
+        """Returns all joints of the robot (n,): the given ones about the angles that were found."""
         before, _, after = self.split(given)
         return [*before, *angles, *after]
 
     @property
     def proves(self) -> bool:
-        """Whether there is no posture where there is no branch. Of axes that miss their family there may be: next to a
-        singularity what they miss ends branches that the arm has."""
+        """Whether there is no posture where there is no branch. For axes that miss their family there may be one: next to a
+        singularity the miss ends branches that the arm has."""
         return self.misfit <= PROVEN
 
     @property
     def away(self) -> float:
-        """How far a pose [rad, m] may be from the one that the family, whose axes miss these by `misfit`, has at a posture."""
+        """A bound of how far [rad, m] a posture's pose is from the family's, whose axes miss the robot's by `misfit`."""
         if self.misfit <= ROUNDED:
             return 0.0
         arm = self.robot.part(self.first, self.robot.num_joints)
@@ -121,20 +123,20 @@ class Solver(NamedTuple):
 
     @property
     def given_names(self) -> tuple[str, ...]:
-        """Of what is given: a joint's, or the parameter's."""
+        """The names of the given values: a joint's, or the parameter's."""
         return tuple(self.joined(self.robot.joint_names, [self.family.name] * self.family.parameters))
 
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """The finite range (k,), (k,) of what is given [m, rad]: a whole turn where there are no limits."""
+        """Returns the finite range (k,), (k,) of the given values [m, rad]: a whole turn where there are no limits."""
         return self.given_range(*self.robot.finite_limits)
 
     def given_range(self, low: Any, high: Any) -> tuple[np.ndarray, np.ndarray]:
-        """The range (k,), (k,) of what is given, from bounds of all joints (n,), (n,) [m, rad]."""
+        """Returns the range (k,), (k,) of the given values, from bounds of all joints (n,), (n,) [m, rad]."""
         own = np.full(self.family.parameters, np.pi)
         return np.array(self.joined(low, -own), float), np.array(self.joined(high, own), float)
 
     def values(self, q: Any) -> list[Scalar]:
-        """What is given where all joints are `q` (n,)."""
+        """Returns the given values where all joints are `q` (n,)."""
         if not self.family.parameters:
             return self.joined(q, [])
         part = self.robot.part(self.solved.start, self.solved.stop)
@@ -144,7 +146,7 @@ class Solver(NamedTuple):
 
 
 class AnySix:
-    """Six joints that are of no family, by paths of complex solutions: sixteen postures at most."""
+    """Six joints of no family, solved by paths of complex solutions: sixteen postures at most."""
 
     name = "any six joints"
     joints, parameters, branches, cost = 6, 0, MOST_SOLUTIONS, 1000
@@ -165,8 +167,8 @@ class AnySix:
 
 
 def _families(part: Robot, first: int) -> Iterator[tuple[str, Callable[[], Family]]]:
-    """The families for six or seven revolute joints, from number `first` of the robot on: why each does not fit, or an empty
-    string, and how it is made."""
+    """Yields the families for six or seven revolute joints, from number `first` of the robot on: why each does not fit, or an
+    empty string, and how it is made."""
     axes = Axes.of(part)
     rest = lambda joint: float(np.clip(0.0, part.lower[joint], part.upper[joint]))
     if part.num_joints == 7:
@@ -186,7 +188,7 @@ def _families(part: Robot, first: int) -> Iterator[tuple[str, Callable[[], Famil
 
 @functools.lru_cache(maxsize=64)
 def _found(robot: Robot) -> tuple[Solver | None, str]:
-    """The robot's cheapest closed form, or why it has none."""
+    """Returns the robot's cheapest closed form, or why it has none."""
     best: Solver | None = None
     reasons: list[str] = []
     for size in (7, 6):
@@ -213,10 +215,10 @@ def _found(robot: Robot) -> tuple[Solver | None, str]:
 
 
 def closed_form_obstacle(robot: Robot) -> str:
-    """Why the robot has no closed form, or an empty string. Host.
+    """Returns why the robot has no closed form, or an empty string. Host.
 
-    Six joints that are of no family have none, and are solved all the same (`closed_form`). A robot with traced numbers has
-    none either; raises `ValueError` for what is no robot.
+    Six joints of no family have none, and `closed_form` solves them all the same. A robot with traced numbers has none either.
+    Raises `ValueError` for anything but a robot.
     """
     check_kind("closed_form", "robot", robot, Robot)
     if not all(isinstance(x, np.ndarray) for x in (robot.parent_T_joint, robot.axis, robot.joint_T_tip)):
@@ -233,7 +235,7 @@ def scannable(robot: Robot) -> bool:
 
 
 def scan_obstacle(robot: Robot) -> str:
-    """Why it is not `scannable`, or an empty string."""
+    """Returns why the robot is not `scannable`, or an empty string."""
     if reason := closed_form_obstacle(robot):
         return reason
     names = redundancy(robot).names
@@ -242,7 +244,7 @@ def scan_obstacle(robot: Robot) -> str:
 
 
 def solver_of(robot: Robot) -> Solver:
-    """The robot's closed form. Raises `ValueError` with the reason where it has none."""
+    """Returns the robot's closed form. Raises `ValueError` with the reason where it has none."""
     reason = closed_form_obstacle(robot)
     if reason:
         raise ValueError(f"{robot.name} has no closed form here: {reason}")
@@ -252,7 +254,7 @@ def solver_of(robot: Robot) -> Solver:
 
 
 def any_solver_of(robot: Robot) -> Solver:
-    """The robot's closed form, or what finds all postures of the last six neighbouring revolute joints without one. Raises
+    """Returns the robot's closed form, or else what finds all postures of the last six neighbouring revolute joints. Raises
     `ValueError` with the reason where there are no such joints."""
     if robot.concrete and closed_form_obstacle(robot) and (solver := _without_family(robot)):
         return solver

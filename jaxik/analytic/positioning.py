@@ -54,17 +54,17 @@ class Positioned(NamedTuple):
 
 
 def positioning(axes: Axes, point: np.ndarray) -> Any:
-    """What brings a point (3,) [m], given at q = 0, to a place by the first three axes, as the cheapest of the cases above.
+    """Returns the cheapest of the cases above that brings a point (3,) [m], given at q = 0, to a place by the first three axes.
 
-    Its `solve(place, vectors, eps, signs)` gives a `Positioned` a solution; `own` (3, 3) is the frame that its vectors are
-    in.
+    The result's `solve(place, vectors, eps, signs)` gives a `Positioned` a solution; `own` (3, 3) is the frame that its vectors
+    are in.
     """
     kind = next(kind for kind in (ParallelElbow, MeetingShoulder, MeetingElbow, ParallelShoulder, AnyThree) if kind.fits(axes))
     return kind(axes, point)
 
 
 def obstacle(axes: Axes, point: np.ndarray, named: Named) -> str:
-    """Why the first three axes do not position the point in which the others meet, or an empty string."""
+    """Returns why the first three axes do not position the point in which the others meet, or an empty string."""
     if axes.parallel(0, 1, 2):
         return f"{named(0, 2)} are parallel, and {named(3, 5)} meet in a plane across them"
     if axes.parallel(0, 1) and _apart(axes.h[0], axes.p[1] - axes.p[0]) < 1e-6:
@@ -165,7 +165,7 @@ class ParallelElbow:
 
 
 class _Turning:
-    """What the cases share that differ only in how they find the three turns; the axes stay in the arm's own frame."""
+    """The base of the cases that differ only in how they find the three turns; the axes stay in the arm's own frame."""
 
     own = np.eye(3)
 

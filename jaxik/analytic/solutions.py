@@ -1,10 +1,10 @@
 """All joint positions of a pose, in closed form, for given values of the joints that are left over.
 
-Newton steps for the branches that a closed form leaves short of digits. [Murray, Li and Sastry 1994, ch. 3.4]
+Newton steps mend the branches that a closed form leaves short of digits [Murray, Li and Sastry 1994, ch. 3.4].
 
 Right angles written as 1.5708 are off by 4e-6 rad; then a wrist's axes miss their point by a micrometre, and a closed form that
-takes them to meet misses the pose by as much. And where an ellipse touches a circle a branch has half its digits. Some steps on
-the arm as it is mend both.
+takes them to meet misses the pose by as much. Where an ellipse touches a circle a branch has half its digits. Some steps on the
+arm as it is mend both.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ EDGE = 1e-4  # of a margin, by which a branch may seem to have ended where the s
 
 
 class ClosedForm(NamedTuple):
-    """All m = 8 solutions, 16 of joints that are of no family; always finite where the pose is. Of a spherical wrist branch
+    """All m = 8 solutions, 16 for joints of no family; always finite where the pose is. A spherical wrist has them in the order
     `4 shoulder + 2 elbow + wrist`.
 
     `valid` says that the branch has the pose; `within_limits` that it also has a turn of 2 pi for each joint inside its
@@ -50,7 +50,8 @@ class ClosedForm(NamedTuple):
 
 @kernel(models=1)
 def closed_form(robot: Robot, pose: Float[Array, "4 4"], slide: Float[Array, "..."] | float | None = None) -> ClosedForm:
-    """All joint positions with `base_T_tip = pose` (4, 4) [m], for given values `slide` of what is left over [m, rad]. Traced.
+    """Returns all joint positions with `base_T_tip = pose` (4, 4) [m], for given values `slide` of the joints left over [m,
+    rad]. Traced.
 
     `slide` has shape () for one value, (k,) for k, and is left out for none: the joints before the six that are solved and
     those after them, in the robot's order, and the arm angle where an arm is solved over it (`redundancy`). Differentiable in
@@ -81,8 +82,8 @@ def closed_form(robot: Robot, pose: Float[Array, "4 4"], slide: Float[Array, "..
 
 
 def polished(solver: Solver, pose: Any, q: Any, margins: Any) -> tuple[Any, Any]:
-    """Branches q (m, n) and their margins (m,), after some steps of the solved joints towards the pose (4, 4); a branch that
-    does not come close has no margin. As they are where they need no steps, and in float32."""
+    """Returns branches q (m, n) and their margins (m,), after some steps of the solved joints towards the pose (4, 4); a branch
+    that does not come close has no margin. Branches that need no steps, and those in float32, stay as they are."""
     eps = float(jnp.finfo(q.dtype).eps)
     if eps > EXACT or (solver.misfit <= EXACT and solver.family.cost != ELLIPSE):
         return q, margins
@@ -126,13 +127,14 @@ closed_forms = host_kernels(2, known=16)(closed_form)
 
 @host_kernels(2, known=16)
 def valid_branches(robot: Robot, pose: Any, given: Any) -> Any:
-    """By rows of poses and what is given: a byte with one bit a branch that has the pose, whose angles are not computed."""
+    """Returns, for rows of poses and given values, a byte with one bit a branch that has the pose; no angles are computed."""
     margins = [margin for half in solver_of(robot).half_branches(pose, given) for _, margin in half.finish()]
     return functools.reduce(jnp.bitwise_or, [(m >= 0.0).astype(jnp.uint8) << b for b, m in enumerate(margins)])
 
 
 def one_branch(robot: Robot, pose: Any, given: Any, number: Any) -> tuple[Any, Any]:
-    """Of a pose, what is given and a branch number: the joints (n,), and whether they have the pose in the limits. Traced."""
+    """Returns, for a pose, given values and a branch number, the joints (n,), and whether they have the pose in the limits.
+    Traced."""
     solver = solver_of(robot)
     sign = lambda bit: jnp.where(number & bit, -1.0, 1.0).astype(pose.dtype)
     (half,) = solver.half_branches(pose, given, ((sign(4),), (sign(2),)))
@@ -148,8 +150,8 @@ closed_branches = host_kernels(3, known=16)(one_branch)
 
 
 def first_branch(robot: Robot, pose: Any, given: Any) -> tuple[Any, Any]:
-    """Of a pose and what is given: the joints (n,) of the first branch that has them inside the limits, and its number;
-    `BRANCHES` where there is none. Traced."""
+    """Returns, for a pose and given values, the joints (n,) of the first branch inside the limits, and its number; `BRANCHES`
+    where there is none. Traced."""
     q, _, inside = closed_form(robot, pose, given)
     joints, number = q[-1], jnp.int32(BRANCHES)
     for k in reversed(range(BRANCHES)):

@@ -202,7 +202,7 @@ class ThreeParallel:
 
     @staticmethod
     def _where_in_line(in_line: Any, turn: Callable[[], Turn]) -> Turn:
-        """A turn that is hardly ever asked for: not computed where no lane does."""
+        """A turn that is hardly ever needed: not computed where no lane needs it."""
         if isinstance(in_line, jax.Array):
             kinds = jax.eval_shape(turn)
             return jax.lax.cond(in_line, turn, lambda: Turn(jnp.zeros((), kinds.sin.dtype), jnp.ones((), kinds.cos.dtype)))

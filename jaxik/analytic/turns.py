@@ -1,8 +1,8 @@
 """Equations of turns: what all closed forms come down to.
 
 An angle is its sine and cosine until the end, when `atan2` gives it. Two equations hold them: `cosine_equation`, a line that
-meets a circle, and `circle_equation`, an ellipse that meets one; the subproblems are made of these. A margin tells how far
-an equation's roots are from turning complex: below 0 there is no solution, and what is given is the turn that misses by least.
+meets a circle, and `circle_equation`, an ellipse that meets one; the subproblems are made of these. A margin tells how far an
+equation's roots are from turning complex: below 0 there is no solution, and the turn that misses by least is given.
 
 Scalars are those of `algebra`: numbers fold, arrays are traced, balls bound.
 """
@@ -82,7 +82,7 @@ class HalfBranch(NamedTuple):
     finish: Callable[[], list[tuple[tuple[Scalar, ...], Scalar]]]
 
     def from_tip(self, joints: int) -> HalfBranch:
-        """The same of the arm itself, where what was solved is the arm as it is seen from its tip."""
+        """Returns the half branch of the arm itself, where the arm as it is seen from its tip was solved."""
         turns = {joints - 1 - i: turn for i, turn in self.turns.items()}
         return HalfBranch(turns, self.margin, lambda: [(angles[::-1], margin) for angles, margin in self.finish()])
 
@@ -91,8 +91,8 @@ class HalfBranch(NamedTuple):
 class Family(Protocol):
     """A closed form of one kind of arms, made for one of them.
 
-    It solves `joints` neighbours given `parameters` values of its own (the arm angle), in up to `branches` solutions. Of two
-    that fit a robot the one of less `cost` is taken: 0 or 1 for lines that meet circles, `ELLIPSE` with an ellipse.
+    It solves `joints` neighbours given `parameters` values of its own (the arm angle), in up to `branches` solutions. If two
+    fit a robot the one of less `cost` is taken: 0 or 1 for lines that meet circles, `ELLIPSE` with an ellipse.
     """
 
     @property
@@ -107,8 +107,9 @@ class Family(Protocol):
     def cost(self) -> int: ...
 
     def half_branches(self, target: Frame, given: list[Scalar], eps: float, signs: Signs = ALL) -> list[HalfBranch]:
-        """Of the last frame (or the tip) at `target`, seen from where the first joint is mounted [m]; numbers within `eps` of 0
-        and of +-1 count as those. With `signs` only the half branches with these signs of their two equations."""
+        """Returns the half branches with the last frame (or the tip) at `target`, seen from where the first joint is mounted
+        [m]; numbers within `eps` of 0 and of +-1 count as those. With `signs` only the half branches with these signs of their
+        two equations."""
         ...
 
 
@@ -117,8 +118,8 @@ class Family(Protocol):
 
 
 def cosine_equation(a: Scalar, b: Scalar, c: Scalar, eps: float, signs: Any = BOTH) -> tuple[list[Turn], Scalar]:
-    """The turns with `a cos + b sin = c`, and the margin: where it is below 0 they are of the nearest approach, and not of
-    length 1. Any turn will do where a = b = 0; 0 is taken."""
+    """Returns the turns with `a cos + b sin = c`, and the margin: where it is below 0 they are those of the nearest approach,
+    and not of length 1. Any turn will do where a = b = 0; 0 is taken."""
     square = a * a + b * b
     rest = square - c * c
     margin = rest + SLACK * eps * (square + c * c)
@@ -233,8 +234,8 @@ def row_of(h: Vec3, p: Vec3, k: Vec3) -> Row:
 
 
 def sphere_rows(at: Vec3, moved: Vec3, k: Vec3, second: Vec3) -> tuple[Row, Row]:
-    """Of the point `at + R(k) moved`: the square of its distance from the origin, and its coordinate along the axis `second`.
-    A turn about that axis through the origin changes neither."""
+    """Returns, for the point `at + R(k) moved`, the square of its distance from the origin, and its coordinate along the axis
+    `second`. A turn about that axis through the origin changes neither."""
     known, cos, sin = row_of(at, moved, k)
     square = add(add(at.dot(at), moved.dot(moved)), mul(2.0, known)), mul(2.0, cos), mul(2.0, sin)
     known, cos, sin = row_of(second, moved, k)
@@ -242,7 +243,7 @@ def sphere_rows(at: Vec3, moved: Vec3, k: Vec3, second: Vec3) -> tuple[Row, Row]
 
 
 def chosen(four: list[Pair], signs: Signs) -> list[Pair]:
-    """Those of four solutions that have these signs."""
+    """Picks the solutions with these signs out of four."""
     if signs is ALL:
         return four
     return [either(a > 0.0, either(b > 0.0, *four[:2]), either(b > 0.0, *four[2:])) for a, b in itertools.product(*signs)]

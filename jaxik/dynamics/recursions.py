@@ -1,21 +1,21 @@
 """Forces and motion of a robot of rigid bodies: `M(q) qddot + b(q, qdot) + g(q) = tau + J' wrenches`.
 
-Newton-Euler in the joints' own frames [Luh, Walker, Paul 1980; Featherstone 2008, ch. 5 and 6]. From base to tip, of the frame
-of each joint, its velocity omega, alpha = d omega / dt and the acceleration a of its origin less gravity's:
+Newton-Euler in the joints' own frames [Luh, Walker, Paul 1980; Featherstone 2008, ch. 5 and 6]. From base to tip, each joint's
+frame has the angular velocity omega, alpha = d omega / dt and the acceleration a of its origin less gravity's:
 
     U_i = [alpha_i x] + [omega_i x][omega_i x]
     a_i = R' (a_{i-1} + U_{i-1} r) + 2 omega_i x z qd + z qdd          z qd and z qdd of a sliding joint alone
     omega_i = R' omega_{i-1} + z qd,   alpha_i = R' alpha_{i-1} + omega_i x z qd + z qdd           of a turning joint
 
-and back, of what a joint carries, with mass m, first moments h = m c and second moments S = sum of m p p' about the origin,
+and from tip to base, with mass m, first moments h = m c and second moments S = sum of m p p' about the origin of a body,
 
     f_i = m a + U h - f_ext + R f_{i+1},     n_i = h x a + vee(U S - S U') - n_ext + R n_{i+1} + r x R f_{i+1}
     tau_i = z . n_i (turning) or z . f_i (sliding) + armature_i qdd_i
 
-Everything is linear in m, h and S, which is what `regressor` writes down; composite bodies give `mass_matrix`.
+Everything is linear in m, h and S, as `regressor` has it; composite bodies give `mass_matrix`.
 
-The public functions take one configuration and are pure: `jit`, `vmap` and differentiate them, by the bodies, too. They take
-numbers that are known while JAX traces (the bodies', of a robot that is closed over) into their kernels.
+The public functions take one configuration and are pure: `jit`, `vmap` and differentiate them, by the bodies, too. Numbers that
+are known while JAX traces (the bodies of a robot that is closed over) fold into their kernels.
 """
 
 from __future__ import annotations
@@ -54,22 +54,22 @@ def inverse_dynamics(
     wrenches: Float[Array, "n 6"] | None = None,
     gravity: Any = GRAVITY,
 ) -> Float[jax.Array, " n"]:
-    """What the drives must give in total, `tau = M qddot + b(q, qdot) + g(q) - J' wrenches` [Nm, N]. Traced.
+    """Returns the torque of the drives for a motion, `tau = M qddot + b(q, qdot) + g(q) - J' wrenches` (n,) [Nm, N]. Traced.
 
-    `qdot` and `qddot` (n,) are in [rad/s, m/s] and [rad/s2, m/s2]. `wrenches` (n, 6) is what the world does to what moves with
-    each joint: force [N], then torque [Nm] about the origin of that joint's frame, both in base axes (`wrench_on` makes them).
-    `gravity` (3,) [m/s2] is in world axes; `robot.world_T_base` says how the base hangs in it. Rotors (`robot.armature`) are in
-    it, friction is not.
+    `qdot` and `qddot` (n,) are in [rad/s, m/s] and [rad/s2, m/s2]. `wrenches` (n, 6) act on the body that moves with each
+    joint: force [N], then torque [Nm] about the origin of that joint's frame, both in base axes (`wrench_on` makes them).
+    `gravity` (3,) [m/s2] is in world axes; `robot.world_T_base` says how the base hangs in it. The torque has the rotors
+    (`robot.armature`) in it, but not friction.
 
-    Raises `ValueError` for other shapes, and for a robot without bodies or with what no body can be. Source: Luh, Walker, Paul
-    1980; Schuetz 2017, eq. (3.8)-(3.10).
+    Raises `ValueError` for other shapes, and for a robot without bodies or with bodies that cannot be. Source: Luh, Walker,
+    Paul 1980; Schuetz 2017, eq. (3.8)-(3.10).
     """
     return _inverse("inverse_dynamics", robot, q, qdot, qddot, wrenches, gravity)
 
 
 @kernel(models=1)
 def gravity_torque(robot: Robot, q: Float[Array, " n"], *, gravity: Any = GRAVITY) -> Float[jax.Array, " n"]:
-    """What holds the robot still, `g(q)` [Nm, N]: `inverse_dynamics` at rest. Traced."""
+    """Returns the torque that holds the robot still, `g(q)` (n,) [Nm, N]: `inverse_dynamics` at rest. Traced."""
     return _inverse("gravity_torque", robot, q, None, None, None, gravity)
 
 
@@ -77,7 +77,8 @@ def gravity_torque(robot: Robot, q: Float[Array, " n"], *, gravity: Any = GRAVIT
 def bias_torque(
     robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], *, gravity: Any = GRAVITY
 ) -> Float[jax.Array, " n"]:
-    """What moves it on at constant rates, `b(q, qdot) + g(q)` [Nm, N]: `inverse_dynamics` without acceleration. Traced."""
+    """Returns the torque at constant rates, `b(q, qdot) + g(q)` (n,) [Nm, N]: `inverse_dynamics` without acceleration.
+    Traced."""
     return _inverse("bias_torque", robot, q, qdot, None, None, gravity)
 
 
@@ -117,7 +118,7 @@ def _rotor(robot: Robot, joint: int) -> Scalar:
 
 
 def _rates(what: str, robot: Robot, given: Any, dtype: Any) -> list[Scalar]:
-    """One scalar a joint; 0 where there are none."""
+    """Returns one scalar a joint; 0 where none are given."""
     n = robot.num_joints
     return [0.0] * n if given is None else traced(as_shaped(what, given, (n,)).astype(dtype))
 
@@ -139,9 +140,10 @@ def _in_joints(robot: Robot, q: Sequence[Scalar], wrenches: Any, dtype: Any) -> 
 
 
 def wrench_on(robot: Robot, q: Float[Array, " n"], link: str, force: Any, point: Any) -> Float[jax.Array, "n 6"]:
-    """The `wrenches` of a `force` (3,) [N] that acts on a link at a `point` (3,) [m], both in the base frame. Traced.
+    """Returns the `wrenches` (n, 6) of a `force` (3,) [N] that acts on a link at a `point` (3,) [m], both in the base frame.
+    Traced.
 
-    Of a link that does not move they are 0. Raises `ValueError` for a name that is none of `robot.link_names`.
+    They are 0 for a link that does not move. Raises `ValueError` for a name that is none of `robot.link_names`.
     """
     check_kind("wrench_on", "robot", robot, Robot)
     if link not in robot.link_names:
@@ -151,7 +153,7 @@ def wrench_on(robot: Robot, q: Float[Array, " n"], link: str, force: Any, point:
 
 @kernel(models=2)
 def _wrench(robot: Robot, joint: int, q: Any, force: Any, point: Any) -> jax.Array:
-    """On what moves with a joint, counted from 1; 0 is the base."""
+    """The wrenches of a force on the body of a joint, counted from 1; 0 is the base."""
     q = as_configuration(robot, q)
     pull, at = (Vec3(*traced(as_shaped(k, v, (3,)).astype(q.dtype))) for k, v in (("force", force), ("point", point)))
     rows = [(0.0,) * 6 for _ in range(robot.num_joints)]
@@ -167,10 +169,11 @@ def _wrench(robot: Robot, joint: int, q: Any, force: Any, point: Any) -> jax.Arr
 
 @kernel(models=1)
 def mass_matrix(robot: Robot, q: Float[Array, " n"]) -> Float[jax.Array, "n n"]:
-    """The joints' mass matrix M(q), rotors on its diagonal [kg m2, kg m, kg]: symmetric, positive definite. Traced.
+    """Returns the joints' mass matrix M(q) (n, n), rotors on its diagonal [kg m2, kg m, kg]: symmetric, positive definite.
+    Traced.
 
-    Column j is what one unit of joint j takes of all that it carries. Raises as `inverse_dynamics` does. Source: Featherstone
-    2008, sec. 6.2 (composite rigid bodies).
+    Column j is the torque of one unit of acceleration of joint j. Raises as `inverse_dynamics` does. Source: Featherstone 2008,
+    sec. 6.2 (composite rigid bodies).
     """
     q = as_configuration(robot, q)
     rows = _mass_matrix(robot, placed(robot, traced(q), q.dtype), _bodies("mass_matrix", robot))
@@ -203,9 +206,9 @@ def forward_dynamics(
     wrenches: Float[Array, "n 6"] | None = None,
     gravity: Any = GRAVITY,
 ) -> Float[jax.Array, " n"]:
-    """The accelerations `qddot` (n,) [rad/s2, m/s2] that the drives' `torque` (n,) [Nm, N] gives. Traced.
+    """Returns the accelerations `qddot` (n,) [rad/s2, m/s2] that the drives' `torque` (n,) [Nm, N] gives. Traced.
 
-    The inverse of `inverse_dynamics`, and takes and raises what that does. M is factorised from the tip as L' D L; of six to
+    The inverse of `inverse_dynamics`, with the same arguments and errors. M is factorised from the tip as L' D L; for six to
     nine joints that is less work than articulated bodies. A joint that turns nothing (point masses on its axis, and no rotor)
     has infinite acceleration.
     """
@@ -221,9 +224,9 @@ def forward_dynamics(
 
 
 def _solved(rows: list[list[Scalar]], right: list[Scalar]) -> list[Scalar]:
-    """`x` of `M x = right`, of the lower rows of a positive definite M; both lists are overwritten.
+    """Solves `M x = right`, given the lower rows of a positive definite M; both lists are overwritten.
 
-    Eliminated from the last row up, M = L' D L [Featherstone 2008, sec. 6.3]: the order in which the rows are made.
+    It eliminates from the last row up, M = L' D L [Featherstone 2008, sec. 6.3]: the order in which the rows are made.
     """
     n = len(right)
     for k in reversed(range(n)):
@@ -283,7 +286,7 @@ def energy(robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], *, gra
 def regressor(
     robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], qddot: Float[Array, " n"], *, gravity: Any = GRAVITY
 ) -> Float[jax.Array, "n 10*n"]:
-    """Y in `inverse_dynamics = Y(q, qdot, qddot) parameters + armature qddot`, which is linear in the bodies. Traced.
+    """Returns Y in `inverse_dynamics = Y(q, qdot, qddot) parameters + armature qddot`, which is linear in the bodies. Traced.
 
     It needs no bodies. Raises `ValueError` for other shapes. Source: Atkeson, An, Hollerbach 1986.
     """
@@ -301,7 +304,8 @@ def regressor(
 
 
 def _bodies(who: str, robot: Robot) -> list[Moments]:
-    """Raises `ValueError` for a robot without bodies, and for what no body can be; what is traced is taken as it is."""
+    """Returns the bodies' moments. Raises `ValueError` for a robot without bodies, and for bodies that cannot be; traced ones
+    are taken as they are."""
     need_bodies(who, robot)
     if is_known((robot.bodies, robot.armature)):
         _judge(who, robot)
@@ -309,7 +313,7 @@ def _bodies(who: str, robot: Robot) -> list[Moments]:
 
 
 def _judge(who: str, robot: Robot) -> None:
-    """Raises `ValueError` for bodies and rotors that cannot be, and for a joint that has nothing to move, from the tip on."""
+    """Raises `ValueError` for bodies and rotors that cannot be, and for a joint that has nothing to move."""
     driven = False
     for name, body, rotor in reversed([*zip(robot.joint_names, robot.bodies, robot.armature, strict=True)]):
         what = f"{who}: what joint '{name}' of {robot.name} moves"

@@ -1,7 +1,7 @@
-"""The algebra of rigid bodies on scalars, which a robot's dynamics are written with (equations: `jaxik.dynamics.recursions`).
+"""The algebra of rigid bodies on scalars (equations: `jaxik.dynamics.recursions`).
 
-A direction goes from a joint's axes into the next one's in two steps: by the rotation in the file, which is mostly right angles
-and folds, and by that of the joint.
+A direction goes from a joint's axes into the next one's in two steps: by the rotation in the file, mostly right angles, which
+folds, and by the joint's own.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ class Placed(NamedTuple):
     slides: bool
 
     def into(self, v: Vec3) -> Vec3:
-        """A direction of the joint before in this joint's axes."""
+        """Turns a direction of the joint before into this joint's axes."""
         return self.turned.T @ (self.fixed.T @ v)
 
     def back(self, v: Vec3) -> Vec3:
-        """A direction in this joint's axes, in those of the joint before."""
+        """Turns a direction of this joint into the axes of the joint before."""
         return self.fixed @ (self.turned @ v)
 
     def along(self, force: Vec3, torque: Vec3) -> Scalar:
-        """What a force and a torque on what the joint carries are to its drive."""
+        """Returns the part of a force and a torque that the joint's drive feels."""
         return self.axis.dot(force if self.slides else torque)
 
     def carried(self, force: Vec3, torque: Vec3) -> tuple[Vec3, Vec3]:
-        """The same force, and its torque about the origin of the joint before, in that joint's axes."""
+        """Returns the same force, and its torque about the origin of the joint before, in that joint's axes."""
         force = self.back(force)
         return force, self.back(torque) + self.origin.cross(force)
 
@@ -47,7 +47,7 @@ class Placed(NamedTuple):
         return (self.axis, ZERO) if self.slides else (ZERO, self.axis)
 
     def handed_on(self, velocity: Vec3, omega: Vec3) -> tuple[Vec3, Vec3]:
-        """The velocities of the frame before at this frame's origin, in its axes."""
+        """Moves the velocities of the frame before to this frame's origin and axes."""
         return self.into(velocity + omega.cross(self.origin)), self.into(omega)
 
 
@@ -60,7 +60,7 @@ class Moments(NamedTuple):
 
     @staticmethod
     def of(body: Body) -> Moments:
-        """A body's, about the origin of its joint's frame."""
+        """Returns a body's moments about the origin of its joint's frame."""
         mass, com, inertia = body.mass, body.com, body.inertia
         second = mass * (com[:, None] * com) - inertia + 0.5 * sum(inertia[i, i] for i in range(3)) * np.eye(3)
         return Moments(constants(mass)[0], Vec3(*constants(mass * com)), Rot3.of(constants(second)))
@@ -69,7 +69,7 @@ class Moments(NamedTuple):
         return Moments(add(self.mass, o.mass), self.first + o.first, _symmetric(self.second, o.second))
 
     def before(self, joint: Placed) -> Moments:
-        """The same mass in the frame of the joint before."""
+        """Returns the same mass in the frame of the joint before."""
         arm, first = joint.origin, joint.back(self.first)
         moved = first + arm * self.mass
         turned = joint.fixed @ (joint.turned @ self.second @ joint.turned.T) @ joint.fixed.T
@@ -77,13 +77,14 @@ class Moments(NamedTuple):
         return Moments(self.mass, moved, _symmetric(turned, _outer(first, arm), _outer(arm, moved)))
 
     def momentum(self, velocity: Vec3, omega: Vec3) -> tuple[Vec3, Vec3]:
-        """Linear, and angular about the origin; or the force and torque that accelerate it so from rest."""
+        """Returns linear momentum, and angular about the origin; or the force and torque that accelerate the body so from
+        rest."""
         (sx, sy, sz), h = self.second, self.first
         spin = omega * add(add(sx.x, sy.y), sz.z) - self.second @ omega
         return velocity * self.mass + omega.cross(h), h.cross(velocity) + spin
 
     def inertial(self, motion: Motion) -> tuple[Vec3, Vec3]:
-        """The force, and the torque about the origin, that its motion takes."""
+        """Returns the force, and the torque about the origin, that the body's motion takes."""
         x, y, z = motion.spin @ self.second
         a, turning = motion.acceleration, Vec3(sub(z.y, y.z), sub(x.z, z.x), sub(y.x, x.y))
         return a * self.mass + motion.spin @ self.first, self.first.cross(a) + turning
@@ -94,7 +95,7 @@ def _outer(a: Vec3, b: Vec3) -> Rot3:
 
 
 def _symmetric(*summed: Rot3) -> Rot3:
-    """The sum of tensors, a symmetric one, of which half is computed."""
+    """Sums tensors to a symmetric one, half of which is computed."""
     x, y, z = (Vec3(*(_sum(t[i][j] for t in summed) if j >= i else 0.0 for j in range(3))) for i in range(3))
     return Rot3(x, Vec3(x.y, y.y, y.z), Vec3(x.z, y.z, z.z))
 
@@ -118,15 +119,15 @@ def placed(robot: Robot, q: Sequence[Scalar], dtype: Any) -> list[Placed]:
 
 
 class Motion(NamedTuple):
-    """Of a frame in its own axes: its origin's acceleration less gravity's, and what `[alpha x] + [omega x][omega x]` is, which
-    makes of a point its acceleration around the origin."""
+    """The motion of a frame in its own axes: its origin's acceleration less gravity's, and `spin`, `[alpha x] + [omega x][omega
+    x]`, which times a point is its acceleration around the origin."""
 
     acceleration: Vec3
     spin: Rot3
 
     @staticmethod
     def of(omega: Vec3, alpha: Vec3, acceleration: Vec3) -> Motion:
-        """Of an angular velocity and acceleration [rad/s, rad/s2], and the origin's acceleration [m/s2]."""
+        """Makes a motion of angular velocity and acceleration [rad/s, rad/s2], and the origin's acceleration [m/s2]."""
         x, y, z = omega
         xx, yy, zz, xy, xz, yz = mul(x, x), mul(y, y), mul(z, z), mul(x, y), mul(x, z), mul(y, z)
         spin = Rot3(
@@ -137,8 +138,8 @@ class Motion(NamedTuple):
         return Motion(acceleration, spin)
 
     def work(self, velocity: Vec3, omega: Vec3) -> tuple[Scalar, ...]:
-        """The power that a body's motion takes from these velocities of its frame, of each of ten parameters of the body: m,
-        m c and Ixx Ixy Iyy Ixz Iyz Izz about the origin."""
+        """Returns the power that a body's motion takes at these velocities of its frame, by each of the body's ten parameters:
+        m, m c and Ixx Ixy Iyy Ixz Iyz Izz about the origin."""
         a, (x, y, z) = self.acceleration, omega
         first = self.spin.T @ velocity + a.cross(omega)
         across = Rot3(Vec3(0.0, sub(0.0, z), y), Vec3(z, 0.0, sub(0.0, x)), Vec3(sub(0.0, y), x, 0.0))
@@ -150,7 +151,7 @@ class Motion(NamedTuple):
 
 
 def motions(joints: Sequence[Placed], qdot: Sequence[Scalar], qddot: Sequence[Scalar], gravity: Vec3) -> list[Motion]:
-    """The motion of each joint's frame; `gravity` in base axes."""
+    """Returns the motion of each joint's frame; `gravity` is in base axes."""
     omega, alpha, found = ZERO, ZERO, []
     before = Motion.of(ZERO, ZERO, -gravity)
     for joint, rate, more in zip(joints, qdot, qddot, strict=True):

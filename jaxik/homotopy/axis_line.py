@@ -126,9 +126,9 @@ def _line_between(begin: Line, end: Line, s: Any) -> tuple[Vec3, Vec3, Vec3, Vec
 
 
 def equations(robot: list[Link], aim: tuple[Vec3, ...]) -> tuple[list[Any], list[list[Any]]]:
-    """How far axis 6 is from the line `aim`, in point and direction (6 entries), and the five columns of its derivative by the
-    angles; a sixth column is what else `aim` holds. All in the frame behind joint 3, so that no vector is carried over more
-    than three links."""
+    """Returns how far axis 6 is from the line `aim`, in point and direction (6 entries), and the five columns of its derivative
+    by the angles; what else `aim` holds is a sixth column. All is in the frame behind joint 3, so that no vector is carried
+    over more than three links."""
     fourth, fifth = robot[3:]
     axes: list[tuple[Vec3, Vec3]] = []
     for link in robot[:3]:

@@ -1,4 +1,4 @@
-"""All postures of any arm of six revolute joints, by parameter homotopy.
+"""Finds all postures of any six revolute joints, by parameter homotopy.
 
 E1(q1) ... E6(q6) tip = T. Joint 6 leaves its own axis where it is, so joints 1 to 5 must bring the line of axis 6, a point p
 on it and its direction l, to where T has it (`axis_line`); then joint 6 is what rotation is left. Almost every line has N
@@ -77,7 +77,7 @@ class Starts(NamedTuple):
 
 
 class GeneralArm(NamedTuple):
-    """What `general_solutions` needs of an arm: numbers alone, so that all arms share one kernel."""
+    """The numbers of an arm that `general_solutions` needs: operands, so that all arms share one kernel."""
 
     arm: Arm
     starts: Starts
@@ -177,7 +177,7 @@ def _random_angles(random: np.random.Generator, count: int, imaginary: float) ->
 
 
 def _complex(x: np.ndarray) -> np.ndarray:
-    """Of (..., 2, n) the complex numbers (..., n)."""
+    """Makes complex numbers (..., n) of (..., 2, n)."""
     return x[..., 0, :] + 1j * x[..., 1, :]
 
 
@@ -200,7 +200,7 @@ def _freedom(arm: Arm, angles: np.ndarray) -> float:
 
 
 def _all_solutions(arm: Arm, line: Line, known: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """All solutions (N, 2, 5) of a line (1, 2, 3) of which some are known, by monodromy."""
+    """Finds all solutions (N, 2, 5) of a line (1, 2, 3) from some known ones, by monodromy."""
     in_vain = 0
     while in_vain < 2 and len(known) < MOST_SOLUTIONS:
         stops = [_lines(arm, _random_angles(random, LOOPS, 0.5)) for _ in range(2)]
@@ -285,7 +285,7 @@ def _turned(v: Vec3, turn: Any) -> Vec3:
 
 
 class _Attempt(NamedTuple):
-    """How many attempts have been made, and of the last one the number of its start and the ends of its paths."""
+    """The number of attempts, and the last one's number of its start and the ends of its paths."""
 
     number: Any
     start: Any
@@ -363,8 +363,8 @@ def _axis_6(behind: Frame) -> tuple[Vec3, Vec3]:
 
 
 def _posture(arm: Arm, behind: Frame, found: Ends, k: Any, used: Any) -> tuple[Any, Any]:
-    """The posture (6,) of the end of path `k`, and its margin: by how much it is within the tolerance. Of an end that is real,
-    or may be, the real angles are settled first; of another the margin is below -1."""
+    """The posture (6,) of the end of path `k`, and its margin: by how much it is within the tolerance. The real angles of an
+    end that is real, or may be, are settled first; another end has a margin below -1."""
     x, imaginary = found.angles[k, 0], jnp.max(jnp.abs(found.angles[k, 1]))
     tolerance, aim = float(jnp.finfo(x.dtype).eps) ** (2.0 / 3.0), _axis_6(behind)
     away = lambda x: jnp.sqrt(sum(e * e for e in equations(links_at(arm, [x[i] for i in range(5)]), aim)[0]))
@@ -393,7 +393,7 @@ def _once_each(q: Any, margin: Any) -> Any:
 
 @_solved.defjvp
 def _solved_jvp(primals: Any, tangents: Any) -> Any:
-    """By the implicit function theorem; the arm's own numbers are constants."""
+    """Derivatives by the implicit function theorem; the arm's own numbers are constants."""
     (given, target), change = primals, tangents[1]
     q, margin, complete = _solved(given, target)
     behind, moving = _behind(given.arm, target), _behind(given.arm, change, 0.0)

@@ -116,7 +116,7 @@ def _corrected(newton: Newton, p: _Path, s: Any, goal: Any) -> _Corrected:
 
 
 def _evaluated(newton: Newton, p: _Path, goal: Any) -> _Path:
-    """One correction, and what follows from it: another one, the next point, or a shorter step."""
+    """Makes one correction, and what follows from it: another one, the next point, or a shorter step."""
     begins, s = p.step == 0.0, jnp.minimum(p.s + p.step, 1.0)
     new = _corrected(newton, p, s, goal)
     choose = lambda taken, not_taken: jnp.where(new.taken, taken, not_taken)

@@ -1,11 +1,11 @@
-"""Six revolute joints as lines in space: all that a closed form needs to know of an arm, whatever its file's conventions are.
+"""Six revolute joints as lines in space: all that a closed form needs of a robot, whatever its file's conventions are.
 
 With the axes h_i (unit vectors) through points p_i where the arm stands at q = 0, and its tip M there, the tip is
 
     base_T_tip(q) = E_1(q_1) ... E_6(q_6) M,     E_i the rotation about the line (h_i, p_i)        [Brockett 1984]
 
-so a zero, a sign or a frame of a joint that somebody chose otherwise is another number here and no other case. Seen from the
-tip the same arm has the axes -h_6 ... -h_1 and the inverse as its pose: what is solved for a wrist is solved for a shoulder.
+so another zero, sign or frame of a joint is another number here, and no other case. Seen from the tip the same arm has the axes
+-h_6 ... -h_1 and the inverse pose: a solution for a wrist is one for a shoulder.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ Named = Callable[[int, int], str]  # axes from one to another, counted from 0, i
 
 
 def named_from(start: int, step: int) -> Named:
-    """Names axes by the numbers of their joints in a robot, of which the first is `start`: `axes 2 to 4`, `axes 1 and 2`. The
-    step to the next is -1 where an arm is seen from its tip."""
+    """Names axes by the numbers of their joints in a robot, the first being `start`: `axes 2 to 4`, `axes 1 and 2`. `step` is
+    -1 where an arm is seen from its tip."""
 
     def named(first: int, last: int) -> str:
         low, high = sorted((start + step * first, start + step * last))
@@ -44,19 +44,19 @@ class Axes(NamedTuple):
 
     @staticmethod
     def of(part: Robot) -> Axes:
-        """Of a robot of revolute joints, with concrete numbers."""
+        """Reads the axes of a robot of revolute joints, with concrete numbers."""
         frames = np.array(list(itertools.accumulate(part.parent_T_joint, np.matmul, initial=np.eye(4)))[1:])
         h = np.einsum("nij,nj->ni", frames[:, :3, :3], part.axis)
         return Axes(h, frames[:, :3, 3], frames[-1] @ part.joint_T_tip)
 
     def reversed(self) -> Axes:
-        """Seen from the tip: joint i is joint m - 1 - i here, with the same angle, and the pose is the inverse."""
+        """The axes seen from the tip: joint i is joint m - 1 - i there, with the same angle, and the pose is the inverse."""
         back = np.linalg.inv(self.tip)
         return Axes(-self.h[::-1] @ back[:3, :3].T, self.p[::-1] @ back[:3, :3].T + back[:3, 3], back)
 
     @property
     def misfit(self) -> float:
-        """The largest of what neighbouring axes that count as parallel or meeting miss that by [rad, m]; 0 of exact ones."""
+        """How far neighbouring axes that count as parallel or meeting are from it at most [rad, m]; 0 for exact ones."""
         neighbours = list(itertools.pairwise(range(len(self.h))))
         skewed = [self.tilt(a, b) for a, b in neighbours]
         missed = [self.miss(a, b) for a, b in neighbours] + [self.miss(i, i + 1, i + 2) for i in range(len(self.h) - 2)]

@@ -1,4 +1,4 @@
-"""Where a robot's links are and how they move: one implementation of each quantity.
+"""Frames, Jacobians and accelerations of a robot's links: one implementation of each quantity.
 
 Relative kinematics [Schuetz 2017, sec. 3.2.1]: each frame follows from its parent's, so one pass from base to tip gives all
 of them, and everything else here reads that pass (`joint_frames`):
@@ -45,7 +45,8 @@ from jaxik.spmd import kernel
 
 
 def as_posture(who: str, robot: Robot, q: Any) -> np.ndarray:
-    """`q` (n,) [rad, m] in float64, of what runs on the host. Raises `ValueError` for another shape, NaN and infinity."""
+    """Returns `q` (n,) [rad, m] in float64, for code that runs on the host. Raises `ValueError` for another shape, NaN and
+    infinity."""
     posture = np.asarray(as_configuration(robot, numbers(f"{who}: q", q)), np.float64)
     if not np.isfinite(posture).all():
         raise ValueError(f"{who}: q holds NaN or infinity; write a configuration [rad, m]")
@@ -61,7 +62,7 @@ class JointFrames(NamedTuple):
 
 
 def joint_frames(robot: Robot, q: Sequence[Scalar], root: Frame = BASE, dtype: Any = np.float64) -> JointFrames:
-    """The frames of all joints for n scalars `q`, in the frame that `root` maps the base into.
+    """Returns the frames of all joints for n scalars `q`, in the frame that `root` maps the base into.
 
     Constants within the rounding of `dtype` of 0 and +-1 fold (see `algebra.constants`).
     """
@@ -87,7 +88,7 @@ def _frames(robot: Robot, q: Any) -> tuple[JointFrames, Any]:
 
 @kernel(models=1)
 def forward_kinematics(robot: Robot, q: Float[Array, " n"]) -> Float[jax.Array, "4 4"]:
-    """The tip frame in the base frame, `base_T_tip` [m]. Traced.
+    """Returns the tip frame in the base frame, `base_T_tip` [m]. Traced.
 
     Raises `ValueError` where `q` is not of shape (n,). Source: Schuetz 2017, eq. (3.5).
     """
@@ -96,7 +97,8 @@ def forward_kinematics(robot: Robot, q: Float[Array, " n"]) -> Float[jax.Array, 
 
 
 def pose_errors(robot: Robot, q: Sequence[Scalar], pose: Sequence[Scalar]) -> tuple[Scalar, Scalar]:
-    """Position [m] and rotation [rad] error of the tip, at n scalars `q`, against the sixteen entries of `base_T_tip`."""
+    """Returns position [m] and rotation [rad] error of the tip, at n scalars `q`, against the sixteen entries of
+    `base_T_tip`."""
     tip, aim = joint_frames(robot, q).tip, Frame.of_entries(pose)
     x, y, z = tip.rotation.T @ aim.rotation
     away, skew = tip.translation - aim.translation, Vec3(z.y - y.z, x.z - z.x, y.x - x.y)
@@ -106,7 +108,7 @@ def pose_errors(robot: Robot, q: Sequence[Scalar], pose: Sequence[Scalar]) -> tu
 
 @kernel(models=1)
 def link_frames(robot: Robot, q: Float[Array, " n"]) -> Float[jax.Array, "l 4 4"]:
-    """The frame of every link of `robot.link_names`, fixed ones too, in the base frame [m]. Traced."""
+    """Returns the frame of every link of `robot.link_names`, fixed ones too, in the base frame [m]. Traced."""
     frames, dtype = _frames(robot, q)
     snap = float(np.finfo(dtype).eps)
     moved = (BASE, *frames.joints)
@@ -115,7 +117,7 @@ def link_frames(robot: Robot, q: Float[Array, " n"]) -> Float[jax.Array, "l 4 4"
 
 
 def jacobian_columns(robot: Robot, frames: JointFrames) -> list[tuple[Scalar, ...]]:
-    """The columns of the tip's geometric Jacobian, six scalars a joint."""
+    """Returns the columns of the tip's geometric Jacobian, six scalars a joint."""
     tip = frames.tip.translation
     return [
         (*axis, *BASE.translation) if prismatic else (*axis.cross(tip - frame.translation), *axis)
@@ -125,7 +127,8 @@ def jacobian_columns(robot: Robot, frames: JointFrames) -> list[tuple[Scalar, ..
 
 @kernel(models=1)
 def jacobian(robot: Robot, q: Float[Array, " n"]) -> Float[jax.Array, "6 n"]:
-    """The geometric Jacobian at the tip's origin in base axes: `(v, omega) = J qdot`, linear rows first [m, rad]. Traced.
+    """Returns the geometric Jacobian at the tip's origin in base axes: `(v, omega) = J qdot`, linear rows first [m, rad].
+    Traced.
 
     Source: Craig 2005, ch. 5; Schuetz 2017, eq. (3.7).
     """
@@ -155,7 +158,7 @@ def bias_acceleration(robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " 
 
 
 def _carried(omega: Vec3, alpha: Vec3, r: Vec3) -> Vec3:
-    """The acceleration that a rotating body adds at an arm r: `alpha x r + omega x (omega x r)`."""
+    """Returns the acceleration that a rotating body adds at an arm r: `alpha x r + omega x (omega x r)`."""
     return alpha.cross(r) + omega.cross(omega.cross(r))
 
 
@@ -172,7 +175,7 @@ def manipulability(robot: Robot, q: Float[Array, " n"]) -> Float[jax.Array, ""]:
 
 
 def _determinant(matrix: Any) -> Any:
-    """Of a small positive semidefinite matrix, by elimination without pivoting; a pivot at 0 makes it 0."""
+    """The determinant of a small positive semidefinite matrix, by elimination without pivoting; a pivot at 0 makes it 0."""
     if not len(matrix):
         return jnp.ones((), matrix.dtype)
     pivot, below = jnp.maximum(matrix[0, 0], 0.0), matrix[1:, 0]

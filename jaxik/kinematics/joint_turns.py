@@ -1,4 +1,4 @@
-"""Joints that may turn by 2 pi: which turns lie inside the limits, and which is nearest to another posture."""
+"""Full turns of joints: which of them lie inside the limits, and which is nearest to another posture."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TURN = 2.0 * math.pi
 
 
 def into_limits(robot: Robot, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b n"], Bool[Array, "*b"]]:
-    """Each joint turned by the multiple of 2 pi that brings it nearest to the middle of its range, and whether all fit.
+    """Turns each joint by the multiple of 2 pi that brings it nearest to the middle of its range; returns also whether all fit.
 
     A value that rounding puts past a limit is put on it.
     """
@@ -34,7 +34,7 @@ def into_limits(robot: Robot, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b
 
 
 def turns(robot: Robot, q: Float[Array, " n"], *, lower: Any = None, upper: Any = None) -> Float[np.ndarray, "m n"]:
-    """Every configuration inside the limits that differs from `q` (n,) by full turns of revolute joints. Host.
+    """Returns every configuration inside the limits that differs from `q` (n,) by full turns of revolute joints. Host.
 
     `lower` and `upper` (n,) are narrower limits than the robot's [rad, m]. A joint without both limits keeps its value.
     Raises `ValueError` for another shape.
@@ -48,7 +48,7 @@ def turns(robot: Robot, q: Float[Array, " n"], *, lower: Any = None, upper: Any 
 
 
 def all_turns(robot: Robot, q: Any, lower: Any, upper: Any) -> tuple[np.ndarray, np.ndarray]:
-    """`turns` of rows `q` (N, n): the row that each is of (m,), and they themselves (m, n). On the host."""
+    """Returns the `turns` of rows `q` (N, n): the row that each belongs to (m,), and the configurations (m, n). Host."""
     turns = ~np.array(robot.is_prismatic) & np.isfinite(upper - lower)
     stays = np.where((lower <= q) & (q <= upper), 0.0, np.nan)
     first, last = (np.where(turns, k, stays) for k in _turns(q, lower, upper))
@@ -63,8 +63,8 @@ def all_turns(robot: Robot, q: Any, lower: Any, upper: Any) -> tuple[np.ndarray,
 
 
 def nearest_turns(robot: Robot, q: Any, goal: Any, lower: Any, upper: Any) -> np.ndarray:
-    """`q` (..., n), each revolute joint turned by the multiple of 2 pi that brings it nearest to `goal` (..., n) inside the
-    limits (n,); what has no turn inside them, or a range of 0, keeps its value. On the host."""
+    """Turns each revolute joint of `q` (..., n) by the multiple of 2 pi that brings it nearest to `goal` (..., n) inside the
+    limits (n,); a joint without a turn inside them, or with a range of 0, keeps its value. Host."""
     first, last = _turns(q, lower, upper)
     turns = np.clip(np.round((goal - q) / TURN), first, last)
     moves = ~np.array(robot.is_prismatic) & (lower < upper) & (first <= last)
@@ -72,19 +72,19 @@ def nearest_turns(robot: Robot, q: Any, goal: Any, lower: Any, upper: Any) -> np
 
 
 def endless(robot: Robot) -> np.ndarray:
-    """Which joints turn without limits (n,)."""
+    """Whether each joint turns without limits (n,)."""
     return np.isinf(robot.lower) & np.isinf(robot.upper) & ~np.array(robot.is_prismatic)
 
 
 def whole_turns(endless: np.ndarray, q: np.ndarray) -> Any:
-    """What `endless` joints (n,) have turned by, in whole turns (..., n) [rad]; 0 of others. On the host."""
+    """Returns the whole turns (..., n) [rad] of the `endless` joints (n,) of q (..., n); 0 for the others. Host."""
     if not endless.any():  # planning asks often, and of a few at a time
         return 0.0
     return TURN * np.round(np.where(endless & np.isfinite(q), q, 0.0) / TURN)
 
 
 def _turns(q: Any, lower: Any, upper: Any) -> tuple[Any, Any]:
-    """The first and the last multiple of 2 pi that leave q inside the limits, but for rounding."""
+    """Returns the first and the last multiple of 2 pi that leave q inside the limits, but for rounding."""
     slack = 1e-12
     return np.ceil((lower - q) / TURN - slack), np.floor((upper - q) / TURN + slack)
 

@@ -1,10 +1,10 @@
-"""How far two links are apart at least, read from a table over two joints' values.
+"""Lower bounds of the distance of two links, read from a table over two joints' values.
 
 Links two joints apart pass each other within millimetres in most postures: an upper arm beside the base, a flange beside the
-forearm. Volumes that are a few millimetres larger than the links say collision there where there is none. But two joints
-decide it alone. So the links' own distance is measured once, over a grid of both joints' values, less what interpolation may
-add between the nodes (`fitting.link_distance_tables`): what is read is a bound from below, as the distance of the volumes is.
-The greater of the two counts.
+forearm. Volumes that are a few millimetres larger than the links then report collisions that do not exist. But two joints
+decide it alone. So the links' own distance is measured once, over a grid of both joints' values, less the error of
+interpolation between the nodes (`fitting.link_distance_tables`). The table gives a lower bound, as the distance of the volumes
+is one; the greater of the two counts.
 
 Beyond the grid the bound falls as fast as a distance can change: by no more than `reach`, how far the link is from the joint's
 axis, for each radian, and by 1 m for each metre of a slide.
@@ -34,8 +34,8 @@ class PairTable:
 
     `links` and `joints` are their numbers in the robot, the earlier first. The grid goes from `low` to `high` [rad, m], ends
     included; a joint that `turns` is wrapped into it. `reach` [m/rad, 1] bounds how fast the distance changes. `stored` holds
-    the bounds row by row, a row a value of the first joint: little-endian int16 in units of `STEP`. `geometry` says which
-    links were measured (`robot.geometry_between`): of others the table knows nothing.
+    the bounds row by row, a row a value of the first joint: little-endian int16 in units of `STEP`. `geometry` says which links
+    were measured (`robot.geometry_between`): the table knows nothing of others.
     """
 
     links: tuple[int, int]
@@ -65,19 +65,19 @@ class PairTable:
 
     @property
     def bounds(self) -> np.ndarray:
-        """(size, size) [m]."""
+        """The bounds (size, size) [m]."""
         return np.frombuffer(self.stored, "<i2").reshape(self.size, self.size) * STEP
 
     @property
     def axes(self) -> np.ndarray:
-        """What `interpolated` takes of each joint (2, 6): the middle, the turn, the low end, cells a radian or metre, by how
+        """The numbers of each joint for `interpolated` (2, 6): the middle, the turn, the low end, cells a radian or metre, how
         much the bound falls over a cell beyond the ends [m], and the last node's number."""
         low, high, last = np.array(self.low), np.array(self.high), self.size - 1
         rate, turn = last / (high - low), np.where(self.turns, 2.0 * np.pi, ENDLESS)
         return np.stack([(low + high) / 2.0, turn, low, rate, self.reach / rate, np.full(2, last)], axis=1)
 
     def slopes(self, least: float) -> np.ndarray:
-        """How fast the bound changes with each joint at most (2,) [m/rad, 1]: in the grid, where above `least` [m]."""
+        """Bounds how fast the bound changes with each joint (2,) [m/rad, 1], inside the grid and above `least` [m]."""
         bounds = np.maximum(self.bounds, least)
         return np.array([np.abs(np.diff(bounds, axis=k)).max() for k in range(2)]) * self.axes[:, 3]
 
@@ -88,7 +88,7 @@ class PairTable:
 
 
 def interpolated(values: Sequence[Any], axes: Any, node: Callable[[Any, Any], Any], xp: Any) -> Any:
-    """The bound at two joints' `values`, linear between the four nodes around, of which `node(i, j)` gives each."""
+    """Returns the bound at two joints' `values`, linear between the four nodes around them; `node(i, j)` gives a node."""
     corner, short = [], 0.0
     for x, (middle, turn, low, rate, fall, last) in zip(values, axes, strict=True):
         wrapped = x - turn * xp.round((x - middle) / turn)
@@ -103,7 +103,7 @@ def interpolated(values: Sequence[Any], axes: Any, node: Callable[[Any, Any], An
 
 
 def stored(bounds: np.ndarray) -> bytes:
-    """As `PairTable` holds them: rounded down; but a depth of more than 0.65 m, which int16 cannot say, is told as that."""
+    """Rounds bounds down to the words of `PairTable`; depths beyond 0.65 m, which int16 cannot say, are held as that."""
     return np.clip(np.floor(bounds / STEP), -32768, 32767).astype("<i2").tobytes()
 
 
@@ -113,7 +113,7 @@ def packed(bounds: bytes) -> str:
 
 
 def unpacked(word: str) -> bytes:
-    """Raises `ValueError` for what `packed` did not make."""
+    """Returns the bounds that were `packed`. Raises `ValueError` for other words."""
     try:
         return zlib.decompressobj().decompress(base64.b64decode(word, validate=True), MOST)
     except zlib.error:

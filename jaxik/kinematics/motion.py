@@ -56,7 +56,7 @@ class Motion(Pytree):
         return (self[k] for k in range(len(self.q)))
 
     def needed(self, who: str, name: str) -> Any:
-        """One of its fields. Raises `ValueError`, `who` asking, where it is None."""
+        """Returns one of its fields. Raises `ValueError`, `who` asking, where it is None."""
         if (given := getattr(self, name)) is None:
             raise ValueError(f"{who}: the motion has no {name}; give Motion(..., {name}=)")
         return given

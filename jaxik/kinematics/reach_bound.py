@@ -1,8 +1,8 @@
-"""How far a robot can reach at most: a proof that a target is out of reach, where there is one.
+"""Bounds a robot's reach: a proof that a target is out of reach, where there is one.
 
-Choose a point on each joint's axis. Two points that follow each other ride on one link, so the way from the first to the last
-is no longer than the sum of the distances between them, whatever the joints do; the sum is least for the best choice of points,
-a convex problem. The last joint's point is known from the target's pose. A prismatic joint lengthens the way by its stroke.
+Choose a point on each joint's axis. Two points that follow each other are fixed to one link, so the way from the first to the
+last is no longer than the sum of their distances, whatever the joints do; the best choice of points makes the sum least, a
+convex problem. The last joint's point is known from the target's pose. A prismatic joint lengthens the way by its stroke.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from jaxik.pytree import read_only
 class ReachBound(NamedTuple):
     """`|base_p - origin| <= longest`, and >= `shortest`, for p the point `tip_p` of the tip's frame [m].
 
-    `length` is that of the links without the slides, or of the slides where nothing turns: a finite measure of the robot.
+    `length` is that of the links without the slides, or of the slides where nothing turns: a finite size of the robot.
     """
 
     origin: np.ndarray
@@ -33,7 +33,7 @@ class ReachBound(NamedTuple):
         return np.einsum("nij,j->ni", pose[:, :3], np.append(self.tip_p, 1.0))
 
     def excess(self, pose: np.ndarray) -> np.ndarray:
-        """How far (N,) the poses (N, 4, 4) lie beyond the bounds [m]: a positive one is out of reach."""
+        """Returns how far (N,) the poses (N, 4, 4) lie beyond the bounds [m]: a positive one is out of reach."""
         away = self.point(pose) - self.origin
         away = np.sqrt(np.einsum("ni,ni->n", away, away))
         return np.maximum(away - self.longest, self.shortest - away)
@@ -43,8 +43,8 @@ FAR_OFF = 10.0  # reaches: no use for a target so far away, unless its unit is a
 
 
 def millimetres(robot: Robot, positions: np.ndarray, world: bool = False) -> str | None:
-    """In words, why positions (N, 3) [m] in the base (or the world) look like millimetres, if they do: most of them lie many
-    times beyond the robot's reach, and their thousandth does not."""
+    """Says why positions (N, 3) [m] in the base (or the world) look like millimetres, if they do: most of them lie many times
+    beyond the robot's reach, and their thousandth does not."""
     bound = reach_bound(robot, rotation=False)
     origin = robot.world_T_base[:3, :3] @ bound.origin + robot.world_T_base[:3, 3] if world else bound.origin
     far, away = FAR_OFF * bound.longest, positions - origin
@@ -58,8 +58,7 @@ def millimetres(robot: Robot, positions: np.ndarray, world: bool = False) -> str
 
 
 class _Way(NamedTuple):
-    """From a point `s a` on one axis to `origin + t d` on the next, both in the first one's link; `stroke` is what slides
-    add."""
+    """A way from a point `s a` on one axis to `origin + t d` on the next, both in the first one's link; slides add `stroke`."""
 
     a: np.ndarray
     origin: np.ndarray
@@ -72,7 +71,7 @@ class _Way(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def reach_bound(robot: Robot, rotation: bool = True) -> ReachBound:
-    """The bounds of a robot; without `rotation` only the tip's position is known of a target. Reads concrete numbers."""
+    """Returns the bounds of a robot with concrete numbers; without `rotation` a target is the tip's position alone."""
     ways, tip = _ways(robot)
     rotation = rotation and len(ways) > 1  # it tells nothing where no joint turns
     first, strokes = ways[0], np.array([w.stroke for w in ways])
@@ -106,7 +105,8 @@ def _straightest(ways: list[_Way]) -> np.ndarray:
 
 
 def _ways(robot: Robot) -> tuple[list[_Way], np.ndarray]:
-    """From the base to the first turning axis, from axis to axis, and to the tip; and the tip's frame in the last link."""
+    """Returns the ways from the base to the first turning axis, from axis to axis and to the tip, and the tip in the last
+    link."""
     ways, frame, stroke, last = [], np.eye(4), 0.0, np.zeros(3)
     for i, prismatic in enumerate(robot.is_prismatic):
         frame = frame @ robot.parent_T_joint[i]

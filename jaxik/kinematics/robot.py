@@ -1,10 +1,10 @@
-"""The serial chain: what a robot arm is to every function of this library.
+"""The robot: a serial chain of joints, which every function of this library takes.
 
 A robot never changes: its arrays cannot be written. They are the leaves of a pytree, so that any of them may be traced:
 differentiate the reach with respect to a link's length by `dataclasses.replace`. Names and joint types are static. Numbers that
 are concrete while JAX traces fold into the program, so close over a robot (`jax.jit(lambda q: forward_kinematics(robot, q))`)
-rather than pass it through `jit`: both are right, the first is several times faster. Only a robot whose shapes are such
-numbers is judged by its `convex_parts` and `pair_tables`, too; any other by its volumes alone, which are larger than the links.
+rather than pass it through `jit`: both are right, the first is several times faster. Only a robot whose shapes are such numbers
+is checked by its `convex_parts` and `pair_tables`, too; any other by its volumes alone, which are larger than the links.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ JointType = Literal["revolute", "continuous", "prismatic"]
 class Body(Constant):
     """Mass [kg], centre of gravity [m] and inertia about it [kg m2] of what moves with one joint, in that joint's frame.
 
-    Raises `ValueError` for other shapes; what no body can be is refused where it is used.
+    Raises `ValueError` for other shapes; numbers that no body can have are refused where they are used.
     """
 
     mass: Float[Array, ""]
@@ -45,13 +45,13 @@ class Body(Constant):
         super().__post_init__()
 
     def moved(self, a_T_b: Any) -> Body:
-        """The same body in frame a, of one in frame b."""
+        """Returns a body in frame b in frame a."""
         turn = a_T_b[:3, :3]
         return Body(self.mass, turn @ self.com + a_T_b[:3, 3], turn @ self.inertia @ turn.T)
 
     @staticmethod
     def fused(bodies: Sequence[Body]) -> Body:
-        """One body of several in one frame, about their common centre of gravity."""
+        """Fuses bodies in one frame into one, about their common centre of gravity."""
         mass = sum((b.mass[None] for b in bodies), np.zeros(1)).reshape(())
         com = sum((b.mass * b.com for b in bodies), np.zeros(3)) / (mass + (mass == 0.0))
         inertia = np.zeros((3, 3))
@@ -66,11 +66,11 @@ class Robot(Constant):
     `parent_T_joint[i]` is the frame of joint i at q_i = 0 in the (moved) frame of joint i-1, the base frame for i = 0.
     `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
     `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check,
-    `pair_tables` what is known of pairs beside their volumes, `unchecked` the pairs that are left out, and why. `convex_parts`
-    are those of fitted meshes, which decide what is near; `surfaces` the links' own, where these do (`load(.., exact=True)`).
-    `armature` is the inertia of each joint's rotor at the joint, behind its gears [kg m2, kg]; 0 unless given. `effort` is the
-    most that its drive gives [Nm, N]; infinite unless given: no function keeps to it unless asked, as by `torque=robot.effort`.
-    `drives` has one a joint, or none at all.
+    `pair_tables` bounds of pairs beside their volumes, `unchecked` the pairs that are left out, and why. `convex_parts` of
+    fitted meshes decide near a contact, or the links' own `surfaces` (`load(.., exact=True)`). `armature` is the inertia of
+    each joint's rotor at the joint, behind its gears [kg m2, kg]; 0 unless given. `effort` is the most that its drive gives
+    [Nm, N], infinite unless given; functions keep to it where asked, as by `torque=robot.effort`. `drives` has one for each
+    joint, or is empty.
     """
 
     # not in the instance's dictionary, which copies and pickles take over
@@ -214,7 +214,8 @@ class Robot(Constant):
         return dataclasses.replace(self, bodies=tuple(bodies))
 
     def torsion(self, torque: Any) -> Float[Array, " n"]:
-        """How far the motors are ahead of the joints, `q_motor / N - q = T / c` (n,) [rad, m], for `torque` (n,) [Nm, N].
+        """Returns how far the motors are ahead of the joints, `q_motor / N - q = T / c` (n,) [rad, m], for `torque` (n,) [Nm,
+        N].
 
         Traced. Raises `ValueError` for a robot without drives. Source: Schuetz 2017, (3.17), which prints the difference the
         other way round, and q_motor without its ratio.
@@ -338,7 +339,7 @@ def need_drives(who: str, robot: Robot) -> tuple[Drive, ...]:
 
 
 def steiner(mass: Any, arm: Any) -> Any:
-    """What a mass [kg] at an arm (3,) [m] adds to an inertia (3, 3) [kg m2]."""
+    """Returns the inertia (3, 3) [kg m2] that a mass [kg] adds at an arm (3,) [m]."""
     return mass * (arm @ arm * np.eye(3) - arm[:, None] * arm)
 
 
@@ -361,7 +362,7 @@ def known_parts(robot: Robot) -> tuple[ConvexPart, ...]:
 
 
 def geometry_between(robot: Robot, links: tuple[int, int], joints: tuple[int, int]) -> str:
-    """A hash of all that decides how far two links are apart at given values of the joints between, two of which are `joints`:
+    """A hash of all that decides the distance of two links at given values of the joints between, two of which are `joints`:
     these joints' frames and axes, and the links' shapes."""
     first, last = sorted(robot.link_joint[link] for link in links)
     shapes = [(v.link == links[0], v.corners, v.radius) for v in robot.volumes if v.link in links]
@@ -379,7 +380,7 @@ def finite_range(robot: Robot, lower: Any, upper: Any) -> tuple[np.ndarray, np.n
 
 
 def beyond_limits(robot: Robot, q: np.ndarray, by: float) -> str | None:
-    """In words, which value of q (k, n) is the furthest beyond its joint's limits; None where none is so `by` more [rad, m].
+    """Says which value of q (k, n) is the furthest beyond its joint's limits; None where none is by more than `by` [rad, m].
     Host."""
     beyond = np.maximum(robot.lower - q, q - robot.upper)
     row, joint = np.unravel_index(np.argmax(beyond), beyond.shape)

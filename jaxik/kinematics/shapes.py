@@ -48,7 +48,7 @@ class Volume(Constant):
 class ConvexPart:
     """A convex part of a link: the hull of `corners` (c, 3) [m] in the frame of the link's joint, and what is within `radius`
     [m] of it. All of a link's together hold its shapes, and decide where its volumes are too near to tell; `geometry` says
-    which volumes these are (`link_geometry`): of others the parts know nothing. A value: equal numbers, equal part."""
+    which volumes these are (`link_geometry`): the parts know nothing of others. A value: equal numbers, equal part."""
 
     link: int
     corners: np.ndarray
@@ -94,8 +94,8 @@ class Unchecked:
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Surface:
     """Triangles of a link, `corners` (t, 3, 3) [m] in the frame of the link's joint, and what is within `radius` (t,) [m] of
-    them. `shape` (t,) is the number of the shape that each belongs to, from 0 on in order; `solid` (t,) whether that closes,
-    which is what has an inside. A value: equal numbers, equal surface."""
+    them. `shape` (t,) is the number of the shape that each belongs to, from 0 on in order; `solid` (t,) whether that shape
+    closes, and so has an inside. A value: equal numbers, equal surface."""
 
     link: int
     corners: np.ndarray
@@ -109,7 +109,7 @@ class Surface:
 
     @staticmethod
     def joined(link: int, surfaces: Iterable[Surface]) -> Surface:
-        """One of several, each with its shapes."""
+        """Joins several surfaces, each with its shapes."""
         parts = list(surfaces)
         before = np.cumsum([0, *(p.shape.max(initial=-1) + 1 for p in parts)])
         shapes = np.concatenate([p.shape + n for p, n in zip(parts, before, strict=False)])
@@ -123,7 +123,7 @@ class Surface:
 
     @functools.cached_property
     def outermost(self) -> np.ndarray:
-        """Those of its corners that are furthest in some direction (k, 3): the corners of its hull, or all."""
+        """The corners that are furthest in some direction (k, 3): those of the hull, or all."""
         from scipy.spatial import ConvexHull, QhullError  # 0.1 s to import, and only exact robots ask
 
         places = np.unique(self.corners.reshape(-1, 3), axis=0)
@@ -149,7 +149,7 @@ class Surface:
         return f"Surface(link={self.link}, triangles={len(self.corners)}, digest={self.digest})"
 
     def packed(self) -> str:
-        """Its numbers as a word in a text file, to the last bit: the corners, each once, and which three a triangle has."""
+        """The numbers as a word in a text file, to the last bit: the corners, each once, and which three a triangle has."""
         places, number = np.unique(self.corners.reshape(-1, 3), axis=0, return_inverse=True)
         head = np.array([len(places), len(self.corners)], np.int64)
         parts = head, places, number.reshape(-1).astype(np.int32), self.radius, self.solid, self.shape
@@ -157,7 +157,7 @@ class Surface:
 
     @staticmethod
     def unpacked(link: int, word: str) -> Surface:
-        """Raises `ValueError` for what `packed` did not make."""
+        """Returns the surface that was `packed`. Raises `ValueError` for other words."""
         try:
             content = zlib.decompressobj().decompress(base64.b64decode(word, validate=True), MOST)
         except zlib.error:
@@ -186,7 +186,7 @@ def hashed(words: object, arrays: Iterable[Any]) -> str:
 
 
 def fan(corners: np.ndarray) -> np.ndarray:
-    """Triangles (t, 3, 3) of what is flat, of a line, of a point."""
+    """The triangles (t, 3, 3) of a flat polygon, a line or a point."""
     last = np.arange(len(corners))
     return corners[np.stack([0 * last, np.maximum(last - 1, 0), last], axis=1)[min(len(last) - 1, 2) :]]
 

@@ -1,4 +1,4 @@
-"""What a target asks of the tip: a pose, a position, or a pose with free axes, as a residual and its Jacobian on scalars.
+"""Tasks of the tip: a pose, a position, or a pose with free axes, as a residual and its Jacobian on scalars.
 
 The residual is actual minus target, in metres and radians, in the axes of the base or of the target ("tool"):
 
@@ -39,9 +39,9 @@ COMPONENTS: tuple[str, ...] = get_args(Component)
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """Which of (x, y, z, roll, pitch, yaw) a target binds, along and about the axes of the target or of the base.
+    """The components of (x, y, z, roll, pitch, yaw) that a target binds, along and about the axes of the target or of the base.
 
-    In words: `Task.pose(free=("yaw",))`, `Task.position()`, `Task.pointing()`.
+    Made by `Task.pose(free=("yaw",))`, `Task.position()` or `Task.pointing()`.
     """
 
     bound: tuple[bool, ...] = (True,) * 6
@@ -65,12 +65,12 @@ class Task:
 
     @staticmethod
     def position() -> Task:
-        """Where the tip is, however it is turned."""
+        """The tip's position, however it is turned."""
         return Task.pose(("roll", "pitch", "yaw"), "base")
 
     @staticmethod
     def pointing(along: str = "z") -> Task:
-        """Where the tip is and where its x, y or z points: it may turn about that. Raises `ValueError` for another axis."""
+        """The tip's position and where its x, y or z points, about which it may turn. Raises `ValueError` for another axis."""
         check_choices("task", along=(along, Direction))
         return Task.pose(COMPONENTS[3 + "xyz".index(along)])
 

@@ -158,7 +158,7 @@ class Rot3(NamedTuple):
 
     @staticmethod
     def of(entries: Sequence[Scalar]) -> Rot3:
-        """From nine scalars, row by row."""
+        """Makes a rotation of nine scalars, row by row."""
         return Rot3(Vec3(*entries[0:3]), Vec3(*entries[3:6]), Vec3(*entries[6:9]))
 
 
@@ -194,17 +194,17 @@ class Frame(NamedTuple):
 
     @staticmethod
     def of_columns(matrices: Any) -> Frame:
-        """Of frames (..., 4, 4), NumPy's or traced: each entry is a column (...,)."""
+        """Makes a frame of frames (..., 4, 4), NumPy's or traced: each entry is a column (...,)."""
         return Frame.of_entries([matrices[..., i, j] for i in range(4) for j in range(4)])
 
     @staticmethod
     def of(matrix: Any, snap: float = 0.0) -> Frame:
-        """From a constant (4, 4) array: its entries as `constants` gives them."""
+        """Makes a frame of a constant (4, 4) array: its entries as `constants` gives them."""
         return Frame.of_entries(constants(matrix, snap))
 
     @staticmethod
     def of_entries(m: Sequence[Scalar]) -> Frame:
-        """From the sixteen entries of a matrix, row by row (the last four are not read)."""
+        """Makes a frame of the sixteen entries of a matrix, row by row (the last four are not read)."""
         return Frame(Rot3(Vec3(*m[0:3]), Vec3(*m[4:7]), Vec3(*m[8:11])), Vec3(m[3], m[7], m[11]))
 
 

@@ -24,7 +24,7 @@ SLOPES = 1.25  # times a radius that is worth having where it comes with slopes,
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class Ball:
-    """All numbers `mid + slopes . x + r` with `|x_i| <= 1` of the inputs, and `|r| <= rest`."""
+    """The numbers `mid + slopes . x + r` with `|x_i| <= 1` of the inputs, and `|r| <= rest`."""
 
     mid: Any
     rest: Any
@@ -34,7 +34,7 @@ class Ball:
 
     @staticmethod
     def inputs(mids: Any, radii: Any) -> list[Ball]:
-        """What a program is run on: independent numbers."""
+        """Makes the independent numbers that a program is run on."""
         return [Ball(m, 0.0, (0.0,) * i + (r,)) for i, (m, r) in enumerate(zip(mids, radii, strict=True))]
 
     @property
@@ -91,7 +91,7 @@ class Ball:
         return Ball(inverse, jnp.where(clear, found.rest, jnp.inf), found.slopes) * other
 
     def square_root(self) -> Ball:
-        """Of what is not negative in it, as `algebra.safe_sqrt`."""
+        """The square root of the numbers that are not negative, as `algebra.safe_sqrt`."""
         root, low, high = (jnp.sqrt(jnp.maximum(x, 0.0)) for x in (self.mid, self.low, self.high))
         slope = 0.5 / jnp.where(root > 0.0, root, 1.0)
         bend = jnp.where(root > 0.0, slope * (self.rad / jnp.where(root > 0.0, root + low, 1.0)) ** 2, jnp.inf)
@@ -122,7 +122,7 @@ class Ball:
 
 @dataclasses.dataclass(frozen=True)
 class Perhaps:
-    """What is compared: whether it is true of `all` numbers, of `any`, and of the middle."""
+    """A comparison: whether it holds for `all` numbers, for `any`, and for the middle."""
 
     all: Any
     any: Any
@@ -135,7 +135,7 @@ def possible(condition: Any) -> Any:
 
 
 def perhaps(x: Any) -> Perhaps:
-    """What is true or not as what may be."""
+    """Makes a comparison that may hold of a truth value."""
     return x if isinstance(x, Perhaps) else Perhaps(x, x, x)
 
 
@@ -203,13 +203,13 @@ def waves(angle: Ball, sin: Any, cos: Any) -> tuple[Ball, Ball]:
 
 
 def capped(x: Any) -> Any:
-    """What is a sine or a cosine, or is not asked for: between -1 and 1."""
+    """Caps the bounds of a sine or a cosine at -1 and 1."""
     return x.within(1.0 + abs(x.mid)) if isinstance(x, Ball) else x
 
 
 def _turn(y: Ball, x: Ball) -> Ball:
-    """How far the points (x, y) are turned from their middle. With z = x + iy that is the imaginary part of log(1 + d / z), and
-    what its series has beyond d / z is at most `-log(1 - |d / z|) - |d / z|`."""
+    """Returns how far the points (x, y) are turned from their middle. With z = x + iy that is the imaginary part of log(1 + d /
+    z), whose series beyond d / z is at most `-log(1 - |d / z|) - |d / z|`."""
     square = y.mid * y.mid + x.mid * x.mid
     share = jnp.sqrt((y.rad * y.rad + x.rad * x.rad) / square)
     arc = share + (jnp.pi / 2.0 - 1.0) * share**3  # >= arcsin on [0, 1]

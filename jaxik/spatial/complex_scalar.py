@@ -59,10 +59,10 @@ class Complex(NamedTuple):
 
 
 def pivoted_solve(rows: Complex, unknowns: int) -> tuple[Complex, list[Complex]]:
-    """Solutions (n, k) of `A X = B` from rows (m, n + k) of `A | B`, m >= n, by elimination with partial pivoting.
+    """Solves `A X = B` (n, k) from rows (m, n + k) of `A | B`, m >= n, by elimination with partial pivoting.
 
-    Of more than n equations those with the largest pivots count; by how much the others are not satisfied comes second, as rows
-    (k,). Source: Golub and Van Loan 2013, sec. 3.4.
+    If m > n the equations with the largest pivots count; the second result has the residuals of the others, as rows (k,).
+    Source: Golub and Van Loan 2013, sec. 3.4.
     """
     part = lambda a, at: Complex(a.re[at], a.im[at])
     rest, triangle = [part(rows, i) for i in range(len(rows.re))], []
