@@ -35,7 +35,7 @@ def planar() -> tuple[jaxik.Robot, jaxik.Scene, np.ndarray]:
     robot, scene = jaxik.load("planar2"), jaxik.make_scene(boxes=STEMS)
     pose = jaxik.pose([*FRUIT, 0.0])
     in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
-    return robot, scene, jaxik.solve_ik(robot, pose, scene, task=in_plane, choice="clearance").q
+    return robot, scene, jaxik.solve_ik(robot, pose, scene=scene, task=in_plane, choice="clearance").q
 
 
 def truth(nodes: np.ndarray, hits: np.ndarray, start: np.ndarray, goal: np.ndarray) -> float:

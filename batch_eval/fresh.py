@@ -34,7 +34,7 @@ folder, tip, poses = pathlib.Path(sys.argv[1]), sys.argv[2] or None, np.load(sys
 robot, times = motionbenchmaker.load_robot(folder, tip), []
 for goal, pose in zip(motionbenchmaker.goals(folder, robot), poses):
     start = time.perf_counter()
-    jaxik.solve_ik(robot, pose, goal.scene, position_tolerance=1e-4, rotation_tolerance=1e-3)
+    jaxik.solve_ik(robot, pose, scene=goal.scene, position_tolerance=1e-4, rotation_tolerance=1e-3)
     times.append(time.perf_counter() - start)
 warm = float(np.median(times))
 print(json.dumps({"first_s": times[0], "slowest_later_s": max(times[1:]), "beyond_warm_s": sum(times) - warm * len(times)}))

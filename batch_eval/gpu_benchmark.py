@@ -143,7 +143,7 @@ def descent(small: bool) -> dict[str, Any]:
     """One seed each, all in one traced program; the success is that of single seeds, to 1e-4 m and 1e-3 rad in float32."""
     robot, count = robot_of("Panda"), 256 if small else 65_536
     poses, seeds = problems.targets(robot, count), configurations(robot, count)[::-1].copy()
-    row, landed = batch(jax.vmap(functools.partial(jaxik.ik.descend, robot)), poses.astype(np.float32), seeds)
+    row, landed = batch(jax.vmap(functools.partial(jaxik.ik.descend_ik, robot)), poses.astype(np.float32), seeds)
     q = np.asarray(landed.q, np.float64)
     return row | {"success": problems.solved(robot, q, problems.tips(robot, q), poses, 1e-4, 1e-3)}
 
@@ -154,7 +154,7 @@ def among_leaves(small: bool) -> dict[str, Any]:
     q = configurations(robot, 100 if small else 400)
     free = np.asarray(jax.vmap(lambda q: jaxik.clearance(robot, scene, q))(q)) > 0.005
     poses = problems.tips(robot, q[free])[: 4 if small else 100]
-    solve = lambda: jaxik.solve_ik(robot, poses, scene)
+    solve = lambda: jaxik.solve_ik(robot, poses, scene=scene)
     return driven(lambda: solve().q, len(poses), rounds=2) | {"success": float(np.mean(solve().success))}
 
 
@@ -216,7 +216,7 @@ def rows() -> dict[str, Row]:
     found["sweep, p6r, limits"] = sweep
     found |= {f"forward kinematics: {who}": part(peer_kinematics, who) for who in ("PyRoki", "frax", "MJX")}
     found["solve_ik, Panda"] = part(inverse, "Panda", (1, 2000, 50_000))
-    found["descend, Panda, one seed each"] = descent
+    found["descend_ik, Panda, one seed each"] = descent
     found |= {f"inverse kinematics, Panda: {who}": part(peer_inverse, who) for who in ("PyRoki", "scikit-robot")}
     found["solve_ik, p6r in the cucumber row"] = among_leaves
     found |= {f"first call in a process, {name}": part(first_call, name) for name in fresh.CALLS}

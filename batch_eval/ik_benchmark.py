@@ -148,7 +148,7 @@ def goals(folder: Path, tip: str | None = None) -> dict[str, Any]:
     wanted = [pose(goal.q) for goal in problems]
     for _ in range(2):  # the first round compiles
         each = [
-            clocked(lambda goal=goal, target=target: jaxik.solve_ik(robot, target, goal.scene, **LOOSE))
+            clocked(lambda goal=goal, target=target: jaxik.solve_ik(robot, target, scene=goal.scene, **LOOSE))
             for goal, target in zip(problems, wanted, strict=True)
         ]
     answers, times = zip(*each, strict=True)
@@ -193,7 +193,7 @@ def goal_batches(robot: jaxik.Robot, problems: list[motionbenchmaker.Goal]) -> d
             room = np.asarray(measure(goal.scene.geometry(), near.astype(np.float32))) > TOUCH
             free, spread = np.concatenate([free, near[room]])[:AROUND], spread / 2.0
         targets = np.stack([pose(q) for q in free])
-        solve = lambda goal=goal, targets=targets: jaxik.solve_ik(robot, targets, goal.scene, **LOOSE)
+        solve = lambda goal=goal, targets=targets: jaxik.solve_ik(robot, targets, scene=goal.scene, **LOOSE)
         solve()  # a new size of scene compiles
         answers, spent = clocked(solve)
         solved.append(judge(robot, answers.q, targets, 1e-4, 1e-3))

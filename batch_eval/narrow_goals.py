@@ -89,10 +89,10 @@ def solved(robot: jaxik.Robot, scene: jaxik.Scene, q: np.ndarray) -> dict[str, A
     """The share of goals solved, why the others were not, and the times of warm calls for one goal each."""
     pose, times = pose_of(robot), []
     targets = np.stack([pose(row) for row in q])
-    result = jaxik.solve_ik(robot, targets, scene)
+    result = jaxik.solve_ik(robot, targets, scene=scene)
     for target in targets[:TIMED]:
         start = time.perf_counter()
-        jaxik.solve_ik(robot, target, scene)
+        jaxik.solve_ik(robot, target, scene=scene)
         times.append(time.perf_counter() - start)
     p50, p95 = np.percentile(times, [50, 95])
     return {

@@ -50,7 +50,7 @@ def solve(robot: jaxik.Robot) -> list[dict[str, Any]]:
         scene = trellis_crop(crop)
         for i, target in enumerate(np.array(targets, np.float64) / 100.0):
             others = scene.without([scene.object_names.index(f"fruit_{i + 1}")])
-            run = lambda others=others, target=target: jaxik.solve_ik(robot, target, others, options=OPTIONS)
+            run = lambda others=others, target=target: jaxik.solve_ik(robot, target, scene=others, options=OPTIONS)
             run()  # compiles
             times = []
             for _ in range(11):

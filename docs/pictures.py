@@ -97,7 +97,7 @@ def inverse_kinematics() -> None:
     figure, axes = plt.subplots(1, 2, figsize=(10, 4), width_ratios=(1, 1.15))
     places = jax.vmap(lambda q: jaxik.kinematics.link_frames(robot, q)[:, :3, 3])
     tip = jax.vmap(lambda q: jaxik.forward_kinematics(robot, q)[:3, 3])
-    solve = jax.vmap(lambda q: jaxik.ik.descend(robot, jnp.asarray(target, jnp.float32), q, task, iterations=steps).q)
+    solve = jax.vmap(lambda q: jaxik.ik.descend_ik(robot, jnp.asarray(target, jnp.float32), q, task=task, iterations=steps).q)
     for q, colour, label in ((seeds, "#b0b0b0", "seeds"), (np.asarray(solve(seeds)), BLUE, "after some steps")):
         for i, (arm, end) in enumerate(zip(np.asarray(places(q)), np.asarray(tip(q)), strict=True)):
             line = np.vstack([arm, end])
@@ -114,7 +114,7 @@ def inverse_kinematics() -> None:
     short = lambda q: jnp.linalg.norm(jaxik.forward_kinematics(robot, q) - pose)
     errors = np.array(
         [
-            jax.vmap(lambda q, k=k: short(jaxik.ik.descend(robot, pose, q, iterations=k).q if k else q))(seeds)
+            jax.vmap(lambda q, k=k: short(jaxik.ik.descend_ik(robot, pose, q, iterations=k).q if k else q))(seeds)
             for k in range(steps + 1)
         ]
     )

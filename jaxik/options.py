@@ -13,6 +13,7 @@ reference. Options are frozen and made by keywords; a driver takes `options=None
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar, dataclass_transform, get_args
@@ -135,16 +136,18 @@ class Options:
     `who` asks in its messages: the function that takes it."""
 
     who: ClassVar[str] = "options"
+    _kept: ClassVar[dict[str, Callable[[str, str, Any], Any]]] = {}
 
     def __init_subclass__(cls, who: str = "", **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         cls.who = who or cls.who
         dataclasses.dataclass(frozen=True, kw_only=True)(cls)
+        cls._kept = {name: field.kept for name, field in fields(cls).items()}
         cls.__doc__ = "\n\n".join([(vars(cls).get("__doc__") or "").strip(), described(cls)])
 
     def __post_init__(self) -> None:
-        for name, field in fields(type(self)).items():
-            object.__setattr__(self, name, field.kept(self.who, name, getattr(self, name)))
+        given = vars(self)
+        given.update({name: kept(self.who, name, given[name]) for name, kept in self._kept.items()})
         self.check()
 
     def check(self) -> None:
@@ -152,18 +155,28 @@ class Options:
 
     def changed(self: Own, changes: dict[str, Any]) -> Own:
         """The options with fields changed by name. Raises `ValueError` for a name that is no field's."""
-        names = list(fields(type(self)))
         for name in changes:
-            if name not in names:
-                raise ValueError(f"{self.who}: unknown option '{shown(name)}'; {among(name, names)}")
-        return type(self)(**{name: getattr(self, name) for name in names} | changes) if changes else self
+            if name not in self._kept:
+                raise ValueError(f"{self.who}: unknown option '{shown(name)}'; {among(name, list(self._kept))}")
+        if not changes:
+            return self
+        made = object.__new__(type(self))
+        vars(made).update(vars(self) | {name: self._kept[name](self.who, name, value) for name, value in changes.items()})
+        made.check()
+        return made
 
     @classmethod
     def chosen(cls: type[Own], options: Own | None, changes: dict[str, Any]) -> Own:
         """The `options` that a driver was given, or the defaults, with its `changes`. Raises `ValueError` for other objects and
         other names."""
         check_kind(cls.who, "options", options, cls, optional=True)
-        return (options or cls()).changed(changes)
+        return (cls._usual() if options is None else options).changed(changes)
+
+    @classmethod
+    @functools.cache
+    def _usual(cls) -> Any:
+        """The defaults, made once: they are frozen."""
+        return cls()
 
 
 def fields(options: type[Options]) -> dict[str, Field]:

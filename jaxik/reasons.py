@@ -1,4 +1,4 @@
-"""Why a target has no answer, and the one error that reading a file can raise."""
+"""Reasons why there is no answer, and the one error that reading a file can raise."""
 
 from __future__ import annotations
 
@@ -35,6 +35,12 @@ class Reason(IntEnum):
         return format(self.text, spec)
 
 
+def texts(reason: Any) -> Any:
+    """A `Reason`, or an array of their numbers, in words: text, or an array of texts."""
+    words = np.array([each.text for each in Reason])[np.asarray(reason, int)]
+    return words if words.ndim else str(words)
+
+
 class Reasoned:
     """A result whose `reason` is a `Reason`, or an array of their numbers."""
 
@@ -48,8 +54,7 @@ class Reasoned:
     @property
     def reasons(self) -> Any:
         """The reasons in words: text, or an array of texts."""
-        words = np.array([reason.text for reason in Reason])[np.asarray(self.reason, int)]
-        return words if words.ndim else str(words)
+        return texts(self.reason)
 
     def counts(self) -> dict[str, int]:
         """How many ended for each reason, by its words."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Self
 
@@ -44,8 +45,12 @@ class Result(Reasoned, Pytree):
     def why(self) -> Any:
         """The reasons in words, with what would help; of a batch an array of texts."""
         codes = np.asarray(self.reason, int)
-        words = [self._words(Reason(code), row) for row, code in enumerate(codes.ravel().tolist())]
-        return np.array(words, object).reshape(codes.shape).astype(str) if codes.ndim else words[0]
+        if not codes.ndim:
+            return self._words(Reason(int(codes)), 0)
+        if type(self)._words is Result._words:  # one text a reason
+            found, place = np.unique(codes, return_inverse=True)
+            return np.array([self._words(Reason(code), 0) for code in found.tolist()], str)[place]
+        return np.array([self._words(Reason(code), row) for row, code in enumerate(codes.tolist())], str)
 
     def _words(self, reason: Reason, row: int) -> str:
         """The words of a row. A subclass that knows more of a row than its reason says it here."""
@@ -66,7 +71,8 @@ class Result(Reasoned, Pytree):
         if self.single:
             number = np.arange(1)[rows]
             return self if number.ndim == 0 else type(self).stacked([self] * len(number))
-        given = {name: _picked(value, rows, len(self)) for name, value in self._by_row().items()}
+        count, of = len(self), vars(self)
+        given = {name: _picked(of[name], rows, count) for name in self._names()[0]}
         if np.ndim(given.get("reason", 1)) == 0:
             given["reason"] = Reason(int(given["reason"]))
         return self._replaced(given)
@@ -98,15 +104,22 @@ class Result(Reasoned, Pytree):
         names = results[0]._by_row()
         return results[0]._replaced({name: _stacked([getattr(each, name) for each in results]) for name in names})
 
+    @classmethod
+    @functools.cache
+    def _names(cls) -> tuple[list[str], list[str]]:
+        """The fields that have one entry a row, and all."""
+        every = dataclasses.fields(cls)  # type: ignore[arg-type]
+        rows = [f.name for f in every if not f.metadata.get("static") or f.metadata.get("by_row")]
+        return rows, [f.name for f in every]
+
     def _by_row(self) -> dict[str, Any]:
         """The fields that have one entry a row."""
-        every = dataclasses.fields(self)  # type: ignore[arg-type]
-        return {f.name: getattr(self, f.name) for f in every if not f.metadata.get("static") or f.metadata.get("by_row")}
+        return {name: vars(self)[name] for name in self._names()[0]}
 
     def _replaced(self, given: dict[str, Any]) -> Self:
         made = object.__new__(type(self))
-        every = dataclasses.fields(self)  # type: ignore[arg-type]
-        vars(made).update({f.name: given.get(f.name, vars(self)[f.name]) for f in every})
+        of = vars(self)
+        vars(made).update({name: of[name] for name in self._names()[1]} | given)
         return made
 
 
@@ -117,6 +130,8 @@ def by_row(**options: Any) -> Any:
 
 def _picked(value: Any, rows: Any, count: int) -> Any:
     """The entries of a field that `rows` picks of its `count`."""
+    if type(value) is np.ndarray:  # nearly always
+        return value[rows]
     if isinstance(value, tuple) and type(value) is tuple:
         numbers = np.arange(count)[rows]
         return value[int(numbers)] if numbers.ndim == 0 else tuple(value[i] for i in numbers)

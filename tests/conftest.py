@@ -22,7 +22,8 @@ if CACHE not in os.environ:  # a worker's is that of the run, and that of the ru
 CLOSED = ("turns", "subproblems", "positioning", "spherical_wrist", "three_parallel", "arm_angle")
 UNTYPED = ("__init__", "algebra", "convex", "distance", "capsules", "linear", "qp", "model", *CLOSED)
 HOME = Path(find_spec("jaxik").origin).parent
-FILES = [p for p in HOME.rglob("*.py") if p.stem not in UNTYPED and "spmd" not in p.parts]
+BASES = (HOME / "options.py", HOME / "results.py")  # beartype knows `Self` only in classes that it decorates whole
+FILES = [p for p in HOME.rglob("*.py") if p.stem not in UNTYPED and "spmd" not in p.parts and p not in BASES]
 TYPED = [".".join(("jaxik", *p.relative_to(HOME).with_suffix("").parts)) for p in FILES]
 
 with install_import_hook(TYPED, "beartype.beartype"):

@@ -17,7 +17,7 @@ def height(robot: jaxik.Robot, q: jax.Array) -> jax.Array:
 
 def answers(robot: jaxik.Robot, targets: np.ndarray, scene: jaxik.Scene | None = None) -> dict[str, int]:
     options = jaxik.IKOptions(max_seeds=32, margin=0.01)
-    result = jaxik.solve_ik(robot, targets, scene, options=options)
+    result = jaxik.solve_ik(robot, targets, scene=scene, options=options)
     q: np.ndarray = result.q
     print(q.shape, [jaxik.Reason(int(r)).text for r in result.reason])
     solved: np.ndarray = q[result.success]
@@ -49,9 +49,9 @@ def motions(robot: jaxik.Robot, q: np.ndarray) -> jaxik.Reason:
 def solutions(robot: jaxik.Robot, q: jax.Array) -> float:
     """One lane of the search, and its answer as a differentiable function of its target."""
     target = jaxik.forward_kinematics(robot, q)
-    landed = jaxik.ik.descend(robot, target, q + 0.01)
+    landed = jaxik.ik.descend_ik(robot, target, q + 0.01)
     moved = jaxik.implicit_ik(robot, target, landed.q)
-    print(landed.q.shape, bool(moved.defined), moved.x.shape)
+    print(landed.q.shape, bool(moved.defined), moved.q.shape)
     return float(landed.position_error) + float(landed.rotation_error)
 
 

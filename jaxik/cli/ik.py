@@ -19,8 +19,9 @@ from jaxik.cli.interruption import STOPPED, Patience
 from jaxik.cli.progress import progress_bar
 from jaxik.cli.results import check_writable, offenders, write_csv, writing
 from jaxik.cli.robot_arguments import ShapedRobotArguments
-from jaxik.ik.solve import FAULTS
+from jaxik.ik.problem import FAULTS
 from jaxik.ik.sqp_programs import solve_errors
+from jaxik.reasons import texts
 from jaxik.spatial.rotations import frame
 
 AT_ONCE = 1024  # targets, between which Ctrl-C is heard
@@ -83,10 +84,10 @@ class IKArguments(ShapedRobotArguments):
             parts: list[jaxik.ik.IKResult] = []
             while not parts or (sum(map(len, parts)) < len(targets) and not asked.stop):
                 done = sum(map(len, parts))
-                show = lambda more, done=done: bar.update(line, completed=done + more)
+                show = lambda more, _, done=done: bar.update(line, completed=done + more)
                 some = targets[done : done + AT_ONCE]
-                parts.append(jaxik.solve_ik(robot, some, scene, self.seed, options=options, progress=show))
-        result, seconds = _joined(parts), time.perf_counter() - start
+                parts.append(jaxik.solve_ik(robot, some, scene=scene, seed=self.seed, options=options, progress=show))
+        result, seconds = jaxik.ik.IKResult.joined(parts), time.perf_counter() - start
         with writing(self.out) as (aside, wrote):
             write_ik(robot, result, aside, _table(robot, result, targets[: len(result)], scene, options))
         self._print(result, targets, seconds, wrote)
@@ -114,19 +115,11 @@ class IKArguments(ShapedRobotArguments):
             raise SystemExit(1)
 
 
-def _joined(parts: list[jaxik.ik.IKResult]) -> jaxik.ik.IKResult:
-    """One result of several, one after another: as many solutions wide as the widest."""
-    most = max(part.solutions.shape[1] for part in parts)
-    pad = lambda x: np.pad(x, ((0, 0), (0, most - x.shape[1]), (0, 0)), constant_values=np.nan)
-    padded = [dataclasses.replace(part, solutions=pad(part.solutions)) for part in parts]
-    return jax.tree_util.tree_map(lambda *columns: np.concatenate(columns), *padded)
-
-
 def write_ik(robot: jaxik.Robot, result: jaxik.ik.IKResult, out: Path, table: dict[str, np.ndarray]) -> None:
     """The results of a batch: arrays (.npz, no pickle), one row a target, or a table (.csv, .parquet), one row an answer."""
     names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations", "solutions", "num_solutions")
     if out.suffix == ".npz":
-        columns = {"reason": result.reasons, **{name: getattr(result, name) for name in names}}
+        columns = {"reason": texts(result.reason), **{name: getattr(result, name) for name in names}}
         np.savez(out, allow_pickle=False, joint_names=np.array(robot.joint_names), q=result.q, **columns)
     elif out.suffix == ".parquet":
         import pyarrow.parquet
@@ -153,7 +146,7 @@ def _table(
         errors = [np.where(first, best, each) for best, each in zip(errors, others, strict=True)]
         gap = jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)))
         clearance = clearance if np.isnan(result.clearance).all() else np.where(first, clearance, gap(q))
-    columns = {"target": target + 1, "solution": np.where(solved, number + 1, 0), "reason": result.reasons[target]}
+    columns = {"target": target + 1, "solution": np.where(solved, number + 1, 0), "reason": texts(result.reason)[target]}
     columns |= {"position_error": errors[0], "rotation_error": errors[1], "clearance": clearance}
     columns |= {"seed": result.seed[target], "iterations": result.iterations[target]}
     return columns | dict(zip(robot.joint_names, q.T, strict=True))

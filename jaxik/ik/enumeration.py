@@ -20,7 +20,6 @@ from jaxik.analytic.families import AnySix, any_solver_of, redundancy, scannable
 from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, first_branches
 from jaxik.homotopy.general import GeneralArm, general_kernel
 from jaxik.ik import seeds
-from jaxik.ik.choosing import scores
 from jaxik.ik.problem import Problem
 from jaxik.ik.solutions import (
     Found,
@@ -33,6 +32,7 @@ from jaxik.ik.solutions import (
     judged,
     nothing,
     portions,
+    scores,
     top,
     within,
 )
@@ -56,7 +56,7 @@ def enumerable(problem: Problem) -> bool:
         return False
     if not wanted and not scannable(robot):
         return not problem.first_will_do and not options.locked and _without_closed_form(robot) is not None
-    nearest = options.choice == "closest" or (options.choice == "comfort" and problem.reference is not None)
+    nearest = problem.choice == "closest" or (problem.choice == "comfort" and problem.reference is not None)
     if (nearest and robot.num_joints > 6) or (problem.first_will_do and robot.num_joints > 7 and not wanted):
         return False
     return set(options.locked) <= {robot.joint_names[i] for i in solver_of(robot).given_joints}
@@ -75,24 +75,24 @@ def _without_closed_form(robot: Robot) -> GeneralArm | None:
     return family.arm if isinstance(family, AnySix) else None
 
 
-def enumerated(problem: Problem, poses: np.ndarray, left: np.ndarray) -> Found:
+def enumerated(problem: Problem, left: np.ndarray) -> Found:
     """Answers of the targets numbered `left`, of poses (N, 4, 4): of each the best by the choice, as many as are asked for."""
-    if problem.options.choice != "first":
-        found = _kept_of(problem, poses, left, 0, _most(problem))
-        followed = [_followed(problem, poses, found)] if problem.robot.num_joints > 6 else []
+    if problem.choice != "first":
+        found = _kept_of(problem, left, 0, _most(problem))
+        followed = [_followed(problem, found)] if problem.robot.num_joints > 6 else []
         found = _best(problem, Found.joined([found, *followed]))
     else:
-        found = (_first if problem.most == 1 and problem.scene is None else _several)(problem, poses, left)
-    found = measured(problem, poses, found)
+        found = (_first if problem.most == 1 and problem.scene is None else _several)(problem, left)
+    found = measured(problem, found)
     return found.rows(within(found, problem.tolerance))
 
 
-def _first(problem: Problem, poses: np.ndarray, left: np.ndarray) -> Found:
+def _first(problem: Problem, left: np.ndarray) -> Found:
     """Of each target the first branch inside the limits, at the first point that has one."""
     found = [nothing(problem)]
     for first, last in itertools.pairwise(_tries(problem, len(left))):
         values = _values(problem, first, last)
-        rows = np.repeat(poses[left], len(values), axis=0), np.tile(values, (len(left), 1))
+        rows = np.repeat(problem.poses[left], len(values), axis=0), np.tile(values, (len(left), 1))
         q, branch = in_blocks(first_branches(problem.robot), *rows, double=True)
         fits = (branch < BRANCHES).reshape(len(left), len(values))
         value, has = np.argmax(fits, axis=1), fits.any(axis=1)
@@ -104,11 +104,11 @@ def _first(problem: Problem, poses: np.ndarray, left: np.ndarray) -> Found:
     return Found.joined(found)
 
 
-def _several(problem: Problem, poses: np.ndarray, targets: np.ndarray) -> Found:
+def _several(problem: Problem, targets: np.ndarray) -> Found:
     """Of each target as many branches as are asked for, from one wave of points after the other until there are enough."""
     left, found = targets, nothing(problem)
     for first, last in itertools.pairwise(_tries(problem, len(left))):
-        found = _best(problem, Found.joined([found, _kept_of(problem, poses, left, first, last)]))
+        found = _best(problem, Found.joined([found, _kept_of(problem, left, first, last)]))
         left = targets[np.bincount(np.searchsorted(targets, found.target), minlength=len(targets)) < problem.most]
         if not len(left):
             break
@@ -128,29 +128,29 @@ def _tries(problem: Problem, targets: int) -> list[int]:
     return [0, *itertools.takewhile(lambda k: k < most, (few << k for k in range(32))), most]
 
 
-def _kept_of(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> Found:
+def _kept_of(problem: Problem, some: np.ndarray, first: int, last: int) -> Found:
     """What `_kept` keeps of the branches of `some` targets at points number `first` to `last` that do not collide, so many
     targets at a time as memory holds."""
-    parts = (judged(problem, _of_values(problem, poses, part, first, last))[0] for part in portions(some, last - first))
+    parts = (judged(problem, _of_values(problem, part, first, last))[0] for part in portions(some, last - first))
     return Found.joined([_kept(problem, part) for part in parts])
 
 
-def _of_values(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> Found:
+def _of_values(problem: Problem, some: np.ndarray, first: int, last: int) -> Found:
     """The branches inside the limits of `some` targets, at points number `first` to `last` (not counted); in the order of
     targets and their branches."""
     if (arm := _without_closed_form(problem.robot)) is not None:
-        return _of_general(problem, arm, poses, some)
+        return _of_general(problem, arm, some)
     count, target = last - first, np.repeat(some, last - first)
     given = np.tile(_values(problem, first, last), (len(some), 1))
-    q, _, inside = in_blocks(closed_forms(problem.robot), poses[target], given, double=True)
+    q, _, inside = in_blocks(closed_forms(problem.robot), problem.poses[target], given, double=True)
     row, branch, value = np.nonzero(inside.reshape(len(some), count, BRANCHES).transpose(0, 2, 1))
     found = candidates(q[row * count + value, branch], some[row], BRANCHES * (first + value) + branch)
-    return found if problem.options.choice == "first" else at_home(problem, found)
+    return found if problem.choice == "first" else at_home(problem, found)
 
 
-def _of_general(problem: Problem, arm: GeneralArm, poses: np.ndarray, some: np.ndarray) -> Found:
+def _of_general(problem: Problem, arm: GeneralArm, some: np.ndarray) -> Found:
     """The postures inside the limits of six joints of no family, of `some` targets."""
-    q, margin, _ = in_blocks(general_kernel(), poses[some], fixed=(arm,), double=True)
+    q, margin, _ = in_blocks(general_kernel(), problem.poses[some], fixed=(arm,), double=True)
     row, number = np.nonzero(margin >= 0.0)
     target, low, high = some[row], problem.low, problem.high
     q = nearest_turns(problem.robot, q[row, number], problem.home(target), low, high)
@@ -187,7 +187,7 @@ def _values(problem: Problem, first: int, last: int) -> np.ndarray:
     return seeds.low_discrepancy(inside, problem.seed, first, last)
 
 
-def _followed(problem: Problem, poses: np.ndarray, found: Found) -> Found:
+def _followed(problem: Problem, found: Found) -> Found:
     """Each answer, or a better one by the choice: of the same branch, at points ever nearer to what it is given itself."""
     if not len(found.q):
         return found
@@ -201,7 +201,11 @@ def _followed(problem: Problem, poses: np.ndarray, found: Found) -> Found:
         row = np.repeat(rows, ZOOMED)
         again = found.rows(row)
         q, fits = in_blocks(
-            closed_branches(problem.robot), poses[again.target], near, (again.seed % BRANCHES).astype(np.int32), double=True
+            closed_branches(problem.robot),
+            problem.poses[again.target],
+            near,
+            (again.seed % BRANCHES).astype(np.int32),
+            double=True,
         )
         moved = cleared(problem, at_home(problem, again._replace(q=q)))
         fits &= ~colliding(problem, moved)
@@ -210,10 +214,10 @@ def _followed(problem: Problem, poses: np.ndarray, found: Found) -> Found:
     return found
 
 
-def measured(problem: Problem, poses: np.ndarray, found: Found) -> Found:
+def measured(problem: Problem, found: Found) -> Found:
     """With the errors of their tips, in float64."""
     if not len(found.q):
         return found
     program = batch(2, errors, problem.robot, problem.options.task)
-    away, turned = in_blocks(program, found.q, poses[found.target], double=True)
+    away, turned = in_blocks(program, found.q, problem.poses[found.target], double=True)
     return found._replace(position_error=away, rotation_error=turned)

@@ -29,9 +29,24 @@ from jaxik.analytic.families import solver_of
 from jaxik.analytic.solutions import BRANCHES
 from jaxik.ik import seeds
 from jaxik.ik.enumeration import enumerable, enumerated
-from jaxik.ik.improvement import PUSHED, hopped, improved, is_fixed, pushed
 from jaxik.ik.problem import Problem
-from jaxik.ik.refinement import EARLY, OPEN, SOLVED, STEPS, Misses, compile_finisher, loosened, rescued, searched, settling
+from jaxik.ik.refinement import (
+    EARLY,
+    OPEN,
+    PUSHED,
+    SOLVED,
+    STEPS,
+    Misses,
+    compile_finisher,
+    hopped,
+    improved,
+    is_fixed,
+    loosened,
+    pushed,
+    rescued,
+    searched,
+    settling,
+)
 from jaxik.ik.solutions import Found, at_home, candidates, cleared, judged, nothing, portions, top, within
 from jaxik.kinematics.joint_turns import endless, whole_turns
 from jaxik.kinematics.reach_bound import reach_bound
@@ -66,28 +81,29 @@ class Wave(NamedTuple):
         return self.last - self.first
 
 
-def search(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
-    """Answers for the poses (N, 4, 4) that are `valid` (N,), or reasons."""
+def search(problem: Problem) -> Outcome:
+    """Finds answers for the targets without a fault, or reasons."""
+    valid = problem.fault == 0
     if not (problem.alone and problem.first_will_do):
-        return _searched_for(problem, poses, valid)
-    blind = _searched_for(dataclasses.replace(problem, scene=None), poses, valid)
+        return _searched_for(problem, valid)
+    blind = _searched_for(dataclasses.replace(problem, scene=None), valid)
     first = blind.found.rows(top(blind.found.target, -blind.found.seed, 1))
     free, stuck = judged(problem, first)
     blind = Outcome(blind.reason, free, stuck, cleared(problem, blind.missed))
     if not len(stuck.q):
         return blind
-    again = np.zeros(len(poses), bool)
+    again = np.zeros(len(valid), bool)
     again[stuck.target] = True
-    rest = _searched_for(problem, poses, again)
+    rest = _searched_for(problem, again)
     reason = np.where(again, np.where(rest.reason == SOLVED, SOLVED, Reason.COLLISION), blind.reason)
     stuck = stuck.rows(reason[stuck.target] != SOLVED)
     return Outcome(reason, Found.joined([free, rest.found]), Found.joined([stuck, rest.stuck]), blind.missed)
 
 
-def _searched_for(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
-    """Likewise, by the problem's own scene throughout."""
+def _searched_for(problem: Problem, valid: np.ndarray) -> Outcome:
+    """Finds answers for the `valid` targets (N,), by the problem's own scene throughout."""
     none, misses = nothing(problem), Misses(problem)
-    reason = np.where(valid, np.where(_out_of_reach(problem, poses), Reason.OUT_OF_REACH, OPEN), Reason.INVALID)
+    reason = np.where(valid, np.where(_out_of_reach(problem), Reason.OUT_OF_REACH, OPEN), Reason.INVALID)
     answers, blocked = [none], [none]
 
     def note(free: Found, hit: Found = none) -> None:
@@ -102,39 +118,39 @@ def _searched_for(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Out
     asked, waves = problem, _waves(problem.options.max_seeds, problem.first_will_do, problem.scene is not None)
     stages = [waves]
     if OPEN in reason and enumerable(problem):
-        note(enumerated(problem, poses, np.flatnonzero(reason == OPEN)))
+        note(enumerated(problem, np.flatnonzero(reason == OPEN)))
         if not problem.alone and _is_known(problem):
             problem, stages = _of_the_rest(problem)
     if OPEN in reason:
         compile_finisher(settling(problem), problem.robot.num_joints)
     for number, waves in enumerate(stages):
-        worth = misses.close(reason) if number else np.ones(len(poses), bool)
+        worth = misses.close(reason) if number else np.ones(len(reason), bool)
         while waves and len(left := np.flatnonzero(worth & (reason == OPEN))):
             wave, waves = _joined_waves(waves, len(left))
             for some in portions(left, wave.size):
-                note(*_search_wave(problem, poses, some, wave, misses))
+                note(*_search_wave(problem, some, wave, misses))
             if wave.rescues and OPEN in reason:  # what is left by now is near a singularity, or unreachable
-                note(*rescued(problem, poses, misses.near(reason)))
+                note(*rescued(problem, misses.near(reason)))
             if wave.pushes and OPEN in reason:  # more seeds cost less than moving out of obstacles
                 blocked = [still_blocked()]
-                note((hopped if is_fixed(problem) else pushed)(problem, poses, blocked[0], wave.pushes))
+                note((hopped if is_fixed(problem) else pushed)(problem, blocked[0], wave.pushes))
     if OPEN in reason:
-        note(*loosened(problem, poses, misses.loose(reason)))
+        note(*loosened(problem, misses.loose(reason)))
     missed = none
     if OPEN in reason:
-        missed = misses.nearest(poses, reason)
+        missed = misses.nearest(reason)
         landed = within(missed, problem.tolerance)
         note(*judged(problem, missed.rows(landed)))  # late, but they have the pose
         missed = missed.rows(~landed)
     problem = asked
     found = at_home(problem, Found.joined(answers))
     if problem.options.cost is not None:
-        found = improved(problem, poses, found)
+        found = improved(problem, found)
     if (reason == SOLVED).all():
         return Outcome(reason, found, none, none)
     stuck = still_blocked()
     reason[stuck.target] = Reason.COLLISION
-    reason = _beyond_limits(problem, poses, reason, misses)
+    reason = _beyond_limits(problem, reason, misses)
     return Outcome(reason, found, at_home(problem, stuck), at_home(problem, missed))
 
 
@@ -145,7 +161,7 @@ def _of_the_rest(problem: Problem) -> tuple[Problem, list[tuple[Wave, ...]]]:
     most = problem.options.max_seeds
     few, more = (_waves(count, True, False) for count in (min(BRANCHES, most), most))
     stages = [few, tuple(wave for wave in more if wave.first >= BRANCHES)]
-    return dataclasses.replace(problem, options=dataclasses.replace(problem.options, choice="first")), stages
+    return dataclasses.replace(problem, choice="first"), stages
 
 
 def _is_known(problem: Problem) -> bool:
@@ -155,13 +171,13 @@ def _is_known(problem: Problem) -> bool:
     return solver_of(problem.robot).proves
 
 
-def _out_of_reach(problem: Problem, poses: np.ndarray) -> np.ndarray:
+def _out_of_reach(problem: Problem) -> np.ndarray:
     task = problem.options.task
     if len(task.positions) < 3:
-        return np.zeros(len(poses), bool)
+        return np.zeros(len(problem.poses), bool)
     bound = reach_bound(problem.robot, len(task.rotations) == 3)
     slack = problem.tolerance @ [1.0, np.linalg.norm(bound.tip_p)]  # a turn of the tip moves the point that is bounded
-    return bound.excess(poses) > 1e-9 + slack
+    return bound.excess(problem.poses) > 1e-9 + slack
 
 
 @functools.lru_cache(maxsize=64)
@@ -194,31 +210,31 @@ def _joined_waves(waves: tuple[Wave, ...], targets: int) -> tuple[Wave, tuple[Wa
     return waves[number - 1]._replace(first=first), waves[number:]
 
 
-def _search_wave(problem: Problem, poses: np.ndarray, some: np.ndarray, wave: Wave, misses: Misses) -> tuple[Found, Found]:
+def _search_wave(problem: Problem, some: np.ndarray, wave: Wave, misses: Misses) -> tuple[Found, Found]:
     """Searches `some` targets from the wave's seeds: the answers, and postures that have the pose and collide."""
     target, number = np.repeat(some, wave.size), np.tile(np.arange(wave.first, wave.last), len(some))
-    start = _starts(problem, poses, some, wave.first, wave.last).reshape(len(target), -1)
-    return searched(problem, poses, candidates(start, target, number), wave.steps, misses)
+    start = _starts(problem, some, wave.first, wave.last).reshape(len(target), -1)
+    return searched(problem, candidates(start, target, number), wave.steps, misses)
 
 
-def _starts(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> np.ndarray:
+def _starts(problem: Problem, some: np.ndarray, first: int, last: int) -> np.ndarray:
     """Seeds `first` to `last` of `some` targets, (len(some), last - first, n)."""
     split = min(max(problem.near, first), last)
     if first == split:
-        return _anywhere(problem, poses, some, first - problem.near, last - problem.near)
+        return _anywhere(problem, some, first - problem.near, last - problem.near)
     assert problem.reference is not None
     reference = problem.reference[some] - whole_turns(endless(problem.robot), problem.reference[some])
     near = seeds.near(problem.whole, problem.seed, first, split, reference)
-    return near if split == last else np.concatenate([near, _starts(problem, poses, some, split, last)], axis=1)
+    return near if split == last else np.concatenate([near, _starts(problem, some, split, last)], axis=1)
 
 
-def _anywhere(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> np.ndarray:
+def _anywhere(problem: Problem, some: np.ndarray, first: int, last: int) -> np.ndarray:
     """Likewise, by the strategy."""
     robot, options, numbers = problem.robot, problem.options, (problem.inside, problem.seed, first, last)
     if problem.strategy == "closed_form":
-        return seeds.branches(robot, *numbers, poses[some])
+        return seeds.branches(robot, *numbers, problem.poses[some])
     if problem.strategy == "library":
-        return seeds.library(robot, options.task, problem.unit, *numbers, poses[some])
+        return seeds.library(robot, options.task, problem.unit, *numbers, problem.poses[some])
     if problem.strategy == "low_discrepancy":
         each = seeds.low_discrepancy(*numbers)
     else:
@@ -226,23 +242,22 @@ def _anywhere(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int,
     return np.broadcast_to(each, (len(some), *each.shape))
 
 
-def _beyond_limits(problem: Problem, poses: np.ndarray, reason: np.ndarray, misses: Misses) -> np.ndarray:
+def _beyond_limits(problem: Problem, reason: np.ndarray, misses: Misses) -> np.ndarray:
     """LIMITS for targets that a search without limits reaches. Where a closed form knows all answers it decides, but of what is
     missed by so little that there may be an answer within the tolerances."""
     left = np.flatnonzero(reason == OPEN)
     if not len(left):
         return reason
     if _is_known(problem) and not problem.options.locked:
-        has = seeds.any_branch(problem.robot, poses[left])
+        has = seeds.any_branch(problem.robot, problem.poses[left])
         reason[left] = np.where(has, Reason.LIMITS, np.where(misses.close(reason)[left], OPEN, Reason.OUT_OF_REACH))
         left = left[~has]  # unless the posture that stands for many at a singular pose is none
     held = problem.low == problem.high  # what is locked stays so
     up_to = lambda bound: (np.where(held, problem.low, -bound), np.where(held, problem.high, bound))
     low, high = up_to(np.inf)
     inside = seeds.Range(*(tuple(bound.tolist()) for bound in up_to(np.pi)))
-    options = dataclasses.replace(problem.options, choice="first", solutions=1, cost=None)
-    free = dataclasses.replace(problem, scene=None, low=low, high=high, inside=inside, options=options)
+    free = dataclasses.replace(problem, scene=None, low=low, high=high, inside=inside, choice="first")
     for some in portions(left, UNLIMITED):
-        found, _ = _search_wave(free, poses, some, Wave(0, UNLIMITED, STEPS, False, 0), Misses(problem))
+        found, _ = _search_wave(free, some, Wave(0, UNLIMITED, STEPS, False, 0), Misses(problem))
         reason[found.target] = Reason.LIMITS
     return reason

@@ -1,37 +1,114 @@
-"""What all targets of a `solve_ik` share: limits, tolerances, where to start; checked once."""
+"""The targets of a `solve_ik`, and what they share: limits, tolerances, where to start; checked once."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 import sys
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxik.analytic.families import closed_form_obstacle
 from jaxik.checks import arrays as given
+from jaxik.checks.arrays import RIGID
 from jaxik.checks.options import check_finite, check_seed, shown
 from jaxik.collision.bvh import Grouped, at_margin, grouped, obstacles_in
+from jaxik.collision.clearances import has_geometry
 from jaxik.collision.scene import Scene
 from jaxik.costs import check_cost
 from jaxik.ik import seeds, sqp_programs
 from jaxik.ik.options import IKOptions
 from jaxik.kinematics.joint_turns import TURN
 from jaxik.kinematics.robot import Robot, finite_range
+from jaxik.kinematics.task import Task
+from jaxik.spatial.rotations import frame
+from jaxik.spmd import HostKernel
+from jaxik.spmd.batch import in_blocks
 
 ROUNDED = 1e-6  # [rad] that limits of +-180 degrees may be short of a turn in a file
 EXACT = 1e-9  # [rad], [unit lengths]: what an answer's error becomes, and less where the tolerances ask for less
+MENDS = {  # of targets that are no poses, by the length of their rows
+    3: "; for positions alone give task=jaxik.Task.position(), for poses jaxik.pose(xyz, wxyz=...)",
+    7: "; jaxik.pose(xyz, wxyz=...) makes poses of positions and quaternions",
+}
+FAULTS = (  # of a target that is no pose, by the number in `IKResult.fault`
+    "",
+    "its position holds NaN or infinity",
+    "its rotation is 0, as of a quaternion of length 0",
+    "its rotation holds NaN or infinity",
+    "its last row is not 0 0 0 1",
+    f"its rotation R scales or shears: R'R is further than {RIGID:g} from 1",
+    "its rotation mirrors: its determinant is -1",
+)
+
+
+class Poses(NamedTuple):
+    """Targets as poses (N, 4, 4) with orthonormal rotations, the fault of each (N,), a number of `FAULTS`, with the identity in
+    place of what is no pose, and whether a single one was given."""
+
+    poses: np.ndarray
+    fault: np.ndarray
+    single: bool
+
+    @staticmethod
+    def of(targets: Any, task: Task) -> Poses:
+        """Takes a pose (4, 4) or poses (N, 4, 4); positions (3,) or (N, 3) for a task that binds no rotation. Raises
+        `ValueError` for other shapes and for traced targets."""
+        if isinstance(targets, jax.core.Tracer):
+            mend = "jit or vmap jaxik.ik.descend_ik, or differentiate an answer by jaxik.implicit_ik"
+            raise ValueError(f"solve_ik: targets are traced, and it is a driver on the host; {mend}")
+        array = given.numbers("targets", targets)
+        poses = frame(array) if not task.rotations and array.ndim in (1, 2) and array.shape[-1] == 3 else array
+        if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
+            also = " or positions (3,), (N, 3)" if not task.rotations else ""
+            mend = MENDS.get(array.shape[-1], "") if array.ndim in (1, 2) else ""
+            raise ValueError(f"targets have shape {array.shape}; allowed: poses (4, 4) or (N, 4, 4){also}{mend}")
+        each = poses.reshape(-1, 4, 4)
+        cleaned, valid = in_blocks(RIGID_POSE, each, double=True)
+        fault = np.zeros(len(each), np.int8)
+        fault[~valid] = [_fault(pose) for pose in each[~valid]]
+        return Poses(cleaned, fault, poses.ndim == 2)
+
+
+def _fault(pose: np.ndarray) -> int:
+    """The number in `FAULTS` of the first fault of a matrix (4, 4) that is no pose."""
+    rotation, last = pose[:3, :3], np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0])
+    with np.errstate(over="ignore", invalid="ignore"):
+        away = np.abs(rotation.T @ rotation - np.eye(3)).max()
+    fine = np.isfinite(pose[:3, 3]).all(), rotation.any(), np.isfinite(rotation).all(), last.max() <= RIGID, away <= RIGID
+    return 1 + [*fine, False].index(False)
+
+
+def _rigid_pose(pose: Any) -> tuple[Any, Any]:
+    """A pose (4, 4) with its rotation made orthonormal, and whether it was one (as `arrays.is_rigid`); else the identity."""
+    rotation, last = pose[:3, :3], jnp.array([0.0, 0.0, 0.0, 1.0])
+    off = jnp.max(jnp.abs(rotation.T @ rotation - jnp.eye(3)))
+    right_handed = jnp.dot(jnp.cross(rotation[0], rotation[1]), rotation[2]) > 0.0
+    valid = jnp.all(jnp.isfinite(pose)) & (off <= RIGID) & jnp.all(jnp.abs(pose[3] - last) <= RIGID) & right_handed
+    for _ in range(2):  # towards the nearest rotation, quadratically [Higham 1986]
+        rotation = rotation @ (1.5 * jnp.eye(3) - 0.5 * rotation.T @ rotation)
+    pose = jnp.concatenate([jnp.concatenate([rotation, pose[:3, 3:]], axis=1), last[None]])
+    return jnp.where(valid, pose, jnp.eye(4)), valid
+
+
+RIGID_POSE = HostKernel(_rigid_pose, 1)
 
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """What all targets share, and for each its tolerances (N, 2) and reference (N, n)."""
+    """The robot, its surroundings and the options; and for each target its pose (N, 4, 4), fault (N,), tolerances (N, 2) and
+    reference (N, n). `choice` is never "auto"."""
 
     robot: Robot
     scene: Grouped | None
     seed: int
     options: IKOptions
+    choice: str
+    poses: np.ndarray
+    fault: np.ndarray
     low: np.ndarray
     high: np.ndarray
     weights: np.ndarray
@@ -43,11 +120,10 @@ class Problem:
     reference: np.ndarray | None
 
     @staticmethod
-    def of(robot: Robot, scene: Scene | Grouped | None, seed: int, options: IKOptions, count: int) -> Problem:
-        n = robot.num_joints
-        if options.choice == "auto":
-            closest = options.reference is not None and options.cost is None
-            options = dataclasses.replace(options, choice="closest" if closest else "first")
+    def of(robot: Robot, scene: Scene | Grouped | None, seed: int, options: IKOptions, targets: Poses) -> Problem:
+        n, count, choice = robot.num_joints, len(targets.poses), options.choice
+        if choice == "auto":
+            choice = "closest" if options.reference is not None and options.cost is None else "first"
         low, high = _limits(robot, options)
         weights = np.ones(n)
         if options.weights is not None:
@@ -60,42 +136,44 @@ class Problem:
         names = "position_tolerance", "rotation_tolerance"
         tolerance = np.array([_shaped(name, getattr(options, name), (count,)) for name in names]).T
         if not (tolerance > 0.0).all():
-            given = shown(", ".join(f"{name} {getattr(options, name)}" for name in names))
-            raise ValueError(f"solve_ik: {given}; both are > 0 [m, rad]")
+            told = shown(", ".join(f"{name} {getattr(options, name)}" for name in names))
+            raise ValueError(f"solve_ik: {told}; both are > 0 [m, rad]")
         reference = None if options.reference is None else _shaped("reference", options.reference, (count, n), least=1)
         if reference is not None and not np.isfinite(reference).all():
             raise ValueError("reference holds NaN or infinity; write a configuration (n,), or one a target (N, n) [rad, m]")
         strategy = _strategy(robot, options)
         inside, whole = (_range(robot, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
         around = grouped(scene, robot) if scene is not None else None
-        if around is not None and options.choice != "clearance":  # which ranks what is clear
+        if around is not None and choice != "clearance":  # which ranks what is clear
             around = at_margin(around, options.margin)
         unit = sqp_programs.unit_length(robot)
-        return Problem(robot, around, seed, options, low, high, weights, inside, whole, unit, strategy, tolerance, reference)
+        each = targets.poses, targets.fault, low, high, weights, inside, whole, unit, strategy, tolerance, reference
+        return Problem(robot, around, seed, options, choice, *each)
 
     def part(self, rows: slice) -> Problem:
-        """The same for some of the targets."""
+        """Keeps only some of the targets."""
         if rows.start == 0 and rows.stop >= len(self.tolerance):
             return self
         reference = None if self.reference is None else self.reference[rows]
-        return dataclasses.replace(self, tolerance=self.tolerance[rows], reference=reference)
+        poses, fault, tolerance = self.poses[rows], self.fault[rows], self.tolerance[rows]
+        return dataclasses.replace(self, poses=poses, fault=fault, tolerance=tolerance, reference=reference)
 
     @property
     def alone(self) -> bool:
-        """Whether the robot itself is all that it may hit."""
+        """Whether the robot can hit nothing but itself."""
         return self.scene is not None and not obstacles_in(self.scene)
 
     @property
     def near(self) -> int:
-        """How many of the first seeds are around the reference."""
+        """The number of first seeds around the reference."""
         if self.strategy == "near":
             return sys.maxsize
-        closest = self.options.choice == "closest" and self.options.seeds == "auto"
+        closest = self.choice == "closest" and self.options.seeds == "auto"
         return -(-self.options.max_seeds // 2) if closest else 0
 
     @property
     def most(self) -> int:
-        """How many different answers of a target are returned, at most."""
+        """The largest number of different answers returned for a target."""
         solutions = self.options.solutions
         return sys.maxsize if isinstance(solutions, str) else solutions
 
@@ -105,51 +183,59 @@ class Problem:
 
     @functools.cached_property
     def circles(self) -> np.ndarray:
-        """(n,): which joints turn all the way round inside their limits, but for what a file rounds off [rad]."""
+        """Whether each joint (n,) turns all the way round inside its limits, up to what a file rounds off [rad]."""
         span = self.high - self.low
         return ~np.array(self.robot.is_prismatic) & np.isfinite(span) & (span >= TURN - ROUNDED)
 
     @functools.cached_property
     def round_limits(self) -> tuple[np.ndarray, ...]:
-        """`limits` for searches: no wall where a joint may go on, on the next turn."""
+        """The `limits` for searches, without a wall where a joint may go on, on the next turn."""
         return np.where(self.circles, -np.inf, self.low), np.where(self.circles, np.inf, self.high), self.weights
 
     @property
     def first_will_do(self) -> bool:
         """Whether a target that has an answer needs no other."""
-        return self.options.choice == "first" and self.options.solutions == 1 and self.options.cost is None
+        return self.choice == "first" and self.options.solutions == 1 and self.options.cost is None
 
     @functools.cached_property
     def aim(self) -> np.ndarray:
-        """(N,): the error where a target's finish ends [rad, unit lengths]."""
+        """The error at which each target's finish ends (N,) [rad, unit lengths]."""
         return np.minimum(EXACT, 1e-2 * np.minimum(self.tolerance[:, 0] / self.unit, self.tolerance[:, 1]))
 
     @functools.cached_property
     def may_turn(self) -> np.ndarray:
-        """(n,): which joints have several turns of one posture inside their limits."""
+        """Whether each joint (n,) has several turns of one posture inside its limits."""
         return ~np.array(self.robot.is_prismatic) & (self.high - self.low >= TURN)
 
     @property
     def turnable(self) -> np.ndarray:
-        """(n,): those of them whose limits are both finite."""
+        """Whether each joint (n,) has several turns, and both limits are finite."""
         return self.may_turn & np.isfinite(self.high - self.low)
 
     @property
     def cost_turns(self) -> bool:
-        """Whether it is the user's cost that chooses between turns: a choice that they change goes first."""
-        return self.options.cost is not None and self.options.choice in ("first", "clearance", "manipulability")
+        """Whether the user's cost chooses between turns: a choice that turns change goes first."""
+        return self.options.cost is not None and self.choice in ("first", "clearance", "manipulability")
 
     def home(self, target: np.ndarray) -> np.ndarray:
-        """Of turns, the one nearest to this is taken, (rows, n): each target's reference; without one, and for freedom, the
-        middle of the ranges."""
-        if self.reference is not None and self.options.choice != "freedom":
+        """The configuration (rows, n) to which the nearest turn is taken: each target's reference; without one, and for
+        freedom, the middle of the ranges."""
+        if self.reference is not None and self.choice != "freedom":
             return self.reference[target]
         middle = np.array(sum(finite_range(self.robot, self.low, self.high))) / 2.0
         return np.broadcast_to(middle, (len(target), len(middle)))
 
 
+def is_looked_at(who: str, robot: Robot, scene: Scene | None, collision: bool) -> bool:
+    """Whether a robot's clearance is looked at: to a scene; without one to itself, where it has links that may hit. Raises
+    `ValueError` for a scene with `collision=False`."""
+    if not collision and scene is not None:
+        raise ValueError(f"{who}: a scene with collision=False, which looks at no obstacle; leave one of them out")
+    return collision and (scene is not None or (has_geometry(robot) and bool(robot.self_pairs)))
+
+
 def _limits(robot: Robot, options: IKOptions) -> tuple[np.ndarray, np.ndarray]:
-    """The robot's own (n,), of a locked joint its value twice."""
+    """The robot's own limits (n,); a locked joint has its value twice."""
     low, high = np.array(robot.lower, np.float64), np.array(robot.upper, np.float64)
     for name, value in options.locked.items():
         if name not in robot.joint_names:
@@ -164,8 +250,8 @@ def _limits(robot: Robot, options: IKOptions) -> tuple[np.ndarray, np.ndarray]:
 
 @functools.lru_cache(maxsize=64)
 def _range(robot: Robot, lower: tuple[float, ...], upper: tuple[float, ...], one_turn: bool) -> seeds.Range:
-    """Where searches start: of a joint that turns further, if `one_turn`, in one turn about its middle. The rest holds the same
-    postures again, and limits to run into."""
+    """The range in which searches start. If `one_turn`, a joint that turns further keeps one turn about its middle: the rest
+    holds the same postures again, and limits to run into."""
     low, high = finite_range(robot, np.array(lower), np.array(upper))
     if one_turn:
         over = np.where(robot.is_prismatic, 0.0, np.maximum(high - low - TURN, 0.0)) / 2.0
@@ -174,7 +260,7 @@ def _range(robot: Robot, lower: tuple[float, ...], upper: tuple[float, ...], one
 
 
 def _shaped(name: str, value: Any, shape: tuple[int, ...], least: int = 0) -> np.ndarray:
-    """Numbers of the last axes of `shape`, of `least` one of them, repeated along the others."""
+    """Broadcasts numbers with the last axes of `shape`, at least `least` of them, along the others."""
     array = given.numbers(name, value)
     if not (least <= array.ndim <= len(shape) and array.shape == shape[len(shape) - array.ndim :]):
         allowed = [str(shape[k:]) if shape[k:] else "a number" for k in range(len(shape) - least, -1, -1)]

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import warnings
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
 
+from jaxik.costs import Cost
 from jaxik.ik.problem import Problem
-from jaxik.ik.solutions import PORTION, Found, cleared, judged, nothing, top, within
-from jaxik.ik.sqp_programs import batch, loosen, settle
+from jaxik.ik.solutions import PORTION, Found, at_home, cleared, colliding, costs, far_apart, judged, nothing, top, within
+from jaxik.ik.sqp_programs import AVOID, IMPROVE, SEARCH, Goal, batch, land, loosen, settle, slope
 from jaxik.kinematics.joint_turns import TURN
 from jaxik.optimise import sqp
 from jaxik.reasons import Reason
@@ -30,19 +33,19 @@ LOOSE, LOOSENING = 40, sqp.Options(floor=1e-10, cap=0.3)  # steps at most, and h
 CREEP = 0.95  # of its error, at most, is left of a miss after two steps, or it is at rest; some return, so not among obstacles
 
 
-def searched(problem: Problem, poses: np.ndarray, lanes: Found, steps: int, misses: Misses) -> tuple[Found, Found]:
+def searched(problem: Problem, lanes: Found, steps: int, misses: Misses) -> tuple[Found, Found]:
     """The answers that so many steps lead to, and postures that have the pose and collide."""
-    ended = settled(problem, poses, lanes, steps, double=False)
+    ended = settled(problem, lanes, steps, double=False)
     landed = within(ended, np.maximum(problem.tolerance, [LANDED * problem.unit, LANDED]))
     misses.note(ended, landed)
-    return judged(problem, finish(problem, poses, ended.rows(landed), misses))
+    return judged(problem, finish(problem, ended.rows(landed), misses))
 
 
-def settled(problem: Problem, poses: np.ndarray, lanes: Found, most: int, double: bool = True, creep: float = np.inf) -> Found:
+def settled(problem: Problem, lanes: Found, most: int, double: bool = True, creep: float = np.inf) -> Found:
     """The lanes after up to `most` steps, with their errors."""
     aim = problem.aim[lanes.target] if double else np.full(len(lanes.target), ARRIVED)
-    rows, fixed = (lanes.q, poses[lanes.target], aim), (problem.round_limits, most, creep)
-    steps = settling(problem, FINISH if double else problem.options.search)
+    rows, fixed = (lanes.q, problem.poses[lanes.target], aim), (problem.round_limits, most, creep)
+    steps = settling(problem, FINISH if double else SEARCH)
     q, away, turned, count = in_blocks(steps, *rows, fixed=fixed, double=double)
     q = _inside(problem, q) if problem.circles.any() else q
     return lanes._replace(q=q, position_error=away, rotation_error=turned, iterations=lanes.iterations + count)
@@ -70,34 +73,34 @@ def compile_finisher(program: Callable[..., Any], n: int) -> Future[Any]:
     return threads().submit(in_blocks, program, *rows, fixed=fixed, double=True)
 
 
-def finish(problem: Problem, poses: np.ndarray, landed: Found, misses: Misses) -> Found:
+def finish(problem: Problem, landed: Found, misses: Misses) -> Found:
     """In float64: the last steps, and whose errors are within the tolerances."""
     if not len(landed.q):
         return landed
     compile_finisher(settling(problem), problem.robot.num_joints).result()
-    found = settled(problem, poses, landed, FINISHING)
+    found = settled(problem, landed, FINISHING)
     exact = within(found, problem.tolerance)
     misses.note(found, exact)
     return found.rows(exact)
 
 
-def rescued(problem: Problem, poses: np.ndarray, near: Found) -> tuple[Found, Found]:
+def rescued(problem: Problem, near: Found) -> tuple[Found, Found]:
     """Near misses after up to `RESCUE` more steps, since next to a singularity convergence is slow: answers, and colliding
     ones."""
     if not len(near.q):
         return near, near
-    near = settled(problem, poses, near, RESCUE, creep=CREEP if problem.scene is None else np.inf)
+    near = settled(problem, near, RESCUE, creep=CREEP if problem.scene is None else np.inf)
     return judged(problem, near.rows(within(near, problem.tolerance)))
 
 
-def loosened(problem: Problem, poses: np.ndarray, missed: Found) -> tuple[Found, Found]:
+def loosened(problem: Problem, missed: Found) -> tuple[Found, Found]:
     """Near misses after steps to within the tolerances, and no nearer: answers, and colliding ones. Where a pose is just out of
     reach, or beyond the limits, there are no others."""
     if not len(missed.q):
         return missed, missed
     aim = problem.aim[missed.target]
     slack = problem.tolerance[missed.target] / [problem.unit, 1.0] - 2.0 * aim[:, None]
-    rows, fixed = (missed.q, poses[missed.target], aim, slack), (problem.round_limits, LOOSE)
+    rows, fixed = (missed.q, problem.poses[missed.target], aim, slack), (problem.round_limits, LOOSE)
     program = batch(4, loosen, problem.robot, problem.options.task, LOOSENING)
     q, away, turned, count = in_blocks(program, *rows, fixed=fixed, double=True)
     ended = missed._replace(
@@ -152,7 +155,118 @@ class Misses:
         """Those of them that came within a few of the tolerances."""
         return self._nearest(KEPT, reason, FEW * (self.problem.tolerance @ [1.0 / self.problem.unit, 1.0]))
 
-    def nearest(self, poses: np.ndarray, reason: np.ndarray) -> Found:
+    def nearest(self, reason: np.ndarray) -> Found:
         """The nearest of each target without an answer, judged in float64."""
         found = self._nearest(1, reason)
-        return cleared(self.problem, settled(self.problem, poses, found, FINISHING)) if len(found.q) else found
+        return cleared(self.problem, settled(self.problem, found, FINISHING)) if len(found.q) else found
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Colliding postures led out of the obstacles or to another branch, answers led down a user's cost
+
+PUSHED, PUSHES = (4, 64), 24  # colliding postures a target that are moved out of the obstacles, at first and at last; the steps
+HOPS = 2  # from branch to branch, of an arm without spare joints
+PUSH_MARGIN = 2e-4  # [m] more than is asked for, which the finish in float64 may use up
+IMPROVE_MARGIN = 1e-8  # [m] more, of an answer that leans on an obstacle for the sake of its cost
+IMPROVED = 32  # answers of a target that a cost is made smaller from, the cheapest that are apart
+
+
+def goal(problem: Problem, cost: Cost | None = None) -> Goal:
+    """What a lane is to reach, and minds beside: the cost, and obstacles as the options have it."""
+    options = problem.options
+    collision = "none" if problem.scene is None else str(options.collision)
+    return Goal(options.task, cost, collision, options.activation, options.penalty)
+
+
+def pushed(problem: Problem, stuck: Found, count: int) -> Found:
+    """The answers that a search for clearance makes of the best few colliding postures of each target."""
+    chosen = stuck.rows(far_apart(problem, stuck, stuck.clearance, count))
+    if not len(chosen.q):
+        return chosen
+    program = batch(2, land, problem.robot, goal(problem), PUSHES, AVOID)
+    fixed = problem.limits, (problem.scene, problem.options.margin + PUSH_MARGIN)
+    q = in_blocks(program, chosen.q, problem.poses[chosen.target], fixed=fixed, double=False)[0]
+    moved = chosen._replace(q=q, iterations=chosen.iterations + PUSHES)
+    return judged(problem, finish(problem, moved, Misses(problem)))[0]
+
+
+def is_fixed(problem: Problem) -> bool:
+    """Whether a posture that has its pose cannot move: what collides is freed on another branch only."""
+    return int(np.sum(problem.low < problem.high)) <= sum(problem.options.task.bound)
+
+
+def hopped(problem: Problem, stuck: Found, count: int) -> Found:
+    """The answers on other branches than colliding postures: from these, with one joint mirrored or turned by half."""
+    answers, reached = [nothing(problem)], stuck
+    for _ in range(HOPS):
+        chosen = reached.rows(far_apart(problem, reached, reached.clearance, count))
+        q, one = chosen.q[:, None], np.eye(chosen.q.shape[1])
+        half = np.where(problem.robot.is_prismatic, 0.0, np.copysign(np.pi, q))
+        start = q - np.concatenate([2.0 * q * one, half * one], axis=1)
+        row = np.repeat(np.arange(len(chosen.q)), start.shape[1])
+        lanes = chosen.rows(row)._replace(q=np.clip(start.reshape(-1, chosen.q.shape[1]), problem.low, problem.high))
+        free, reached = searched(problem, lanes, STEPS, Misses(problem))
+        answers.append(free)
+        reached = reached.rows(~np.isin(reached.target, free.target))
+        if not len(reached.q):
+            break
+    return Found.joined(answers)
+
+
+def improved(problem: Problem, found: Found) -> Found:
+    """The answers with the user's cost made smaller, where that leaves them answers."""
+    if not len(found.q):
+        return found
+    found = _cheaper_turns(problem, found)
+    if problem.choice == "first":
+        found = found.rows(far_apart(problem, found, -costs(problem, found.q), max(IMPROVED, problem.most)))
+    _check_slopes(problem, found)
+    if not problem.alone:
+        return _cheaper(problem, found, problem)[0]
+    found, hits = _cheaper(problem, found, dataclasses.replace(problem, scene=None))
+    if not hits.any():
+        return found
+    return Found.joined([found.rows(~hits), _cheaper(problem, found.rows(hits), problem)[0]])
+
+
+def _cheaper(problem: Problem, found: Found, minds: Problem) -> tuple[Found, np.ndarray]:
+    """The answers led down the user's cost among the obstacles of `minds`, where that leaves them answers; and which stay as
+    they were for what they would hit."""
+    iterations = problem.options.cost_iterations
+    program = batch(2, land, problem.robot, goal(minds, problem.options.cost), iterations, IMPROVE)
+    around = () if minds.scene is None else ((minds.scene, problem.options.margin + IMPROVE_MARGIN),)
+    q, away, turned = in_blocks(program, found.q, problem.poses[found.target], fixed=(problem.limits, *around), double=True)
+    better = found._replace(q=q, position_error=away, rotation_error=turned, iterations=found.iterations + iterations)
+    better = _cheaper_turns(problem, cleared(problem, at_home(problem, better)))
+    lands, hits = within(better, problem.tolerance), colliding(problem, better)
+    kept = lands & ~hits
+    return Found.joined([found, better]).rows(np.arange(len(kept)) + len(kept) * kept), lands & hits
+
+
+def _check_slopes(problem: Problem, found: Found) -> None:
+    """Warns where the user's cost has no derivative: no step can follow it from there."""
+    (slopes,) = in_blocks(batch(1, slope, problem.options.cost), found.q, double=True)
+    bad = np.flatnonzero(~np.isfinite(slopes).all(axis=1))
+    if len(bad):
+        q, rise = (np.array2string(x[bad[0]], precision=4, separator=", ", max_line_width=1000) for x in (found.q, slopes))
+        warnings.warn(
+            f"solve_ik: the cost's derivative is {rise} at q = {q} and at {len(bad) - 1} more of {len(slopes)} answers, which "
+            "stay as they were found; a root, a norm or a division by what is 0 there has none: write sqrt(x + 1e-12)",
+            stacklevel=7,
+        )
+
+
+def _cheaper_turns(problem: Problem, found: Found) -> Found:
+    """Each joint turned by 2 pi, one after the other, as long as that makes the user's cost less."""
+    if not problem.cost_turns or not problem.turnable.any() or not len(found.q):
+        return found
+    q, price, less = found.q, costs(problem, found.q), np.ones(1, bool)
+    turns = TURN * np.eye(problem.robot.num_joints)[problem.turnable]
+    while less.any():
+        less = np.zeros(len(q), bool)
+        for turn in (*turns, *-turns):
+            other = q + turn
+            asked = costs(problem, other)
+            better = np.all((other >= problem.low) & (other <= problem.high), axis=1) & (asked < price)
+            q, price, less = np.where(better[:, None], other, q), np.where(better, asked, price), less | better
+    return found._replace(q=q)

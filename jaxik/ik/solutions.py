@@ -8,9 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.collision.bvh import by_volumes, decided_within, grouped, obstacles_in, surfaces_in
+from jaxik.costs import comfort_cost, joint_limit_margin
 from jaxik.ik.problem import Problem
 from jaxik.ik.sqp_programs import batch, clearance_around
-from jaxik.kinematics.joint_turns import TURN, nearest_turns
+from jaxik.kinematics.forward import manipulability
+from jaxik.kinematics.joint_turns import TURN, all_turns, nearest_turns
 from jaxik.kinematics.robot import Robot
 from jaxik.spmd.batch import in_blocks
 
@@ -166,3 +168,38 @@ def first_most(owner: np.ndarray, value: np.ndarray) -> np.ndarray:
     most = np.repeat(np.maximum.reduceat(value, starts), np.diff(starts, append=len(owner)))
     rows = np.flatnonzero(value == most)
     return rows[np.diff(owner[rows], prepend=-1) != 0]
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Which of several answers is taken, and their turns by 2 pi
+
+
+def costs(problem: Problem, q: np.ndarray) -> np.ndarray:
+    """The user's cost of configurations (N, n), in float64."""
+    return in_blocks(batch(1, problem.options.cost), q, double=True)[0]
+
+
+def scores(problem: Problem, found: Found) -> np.ndarray:
+    """How good answers are by the user's choice; more is better."""
+    choice, robot, reference = problem.choice, problem.robot, problem.reference
+    if choice == "first":
+        return -found.seed.astype(float) if problem.options.cost is None else -costs(problem, found.q)
+    if choice == "clearance":
+        return np.nan_to_num(found.clearance)
+    if choice == "closest" or (choice == "comfort" and reference is not None):
+        assert reference is not None
+        away = np.abs(found.q - reference[found.target]) * problem.weights
+        return -(away.max(axis=1) if problem.options.norm == "linf" else np.sqrt(np.sum(away**2, axis=1)))
+    measure = {"manipulability": manipulability, "freedom": joint_limit_margin, "comfort": comfort_cost}[choice]
+    value = in_blocks(batch(1, measure, robot), found.q, double=True)[0]
+    return -value if choice == "comfort" else value
+
+
+def with_turns(problem: Problem, found: Found) -> Found:
+    """Answers with every turn of their joints by 2 pi that stays inside the problem's limits, of each the best turn first."""
+    if not problem.turnable.any() or not len(found.q):
+        return found
+    row, q = all_turns(problem.robot, found.q, problem.low, problem.high)
+    again = found.rows(row)._replace(q=q)
+    price = costs(problem, again.q) if problem.cost_turns else np.abs(again.q - problem.home(again.target)).sum(axis=1)
+    return again.rows(np.lexsort((price, row)))

@@ -9,64 +9,43 @@ import dataclasses
 import functools
 import sys
 import warnings
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import RIGID, numbers
-from jaxik.checks.options import changed, check_kind
+from jaxik.checks.options import check_kind
 from jaxik.collision.always_colliding import warn_of_scene
 from jaxik.collision.bvh import CLOSE, Grouped, decided_within, own_in
 from jaxik.collision.clearances import check_geometry, has_geometry
 from jaxik.collision.contact_report import Contact, explain
 from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
-from jaxik.ik.choosing import scores, with_turns
 from jaxik.ik.multistart import Outcome, search
 from jaxik.ik.options import IKOptions
-from jaxik.ik.problem import Problem
-from jaxik.ik.solutions import Found, candidates, cleared, far_apart, top
+from jaxik.ik.problem import FAULTS, Poses, Problem, is_looked_at
+from jaxik.ik.solutions import Found, candidates, cleared, far_apart, scores, top, with_turns
 from jaxik.kinematics.reach_bound import millimetres
 from jaxik.kinematics.robot import Robot
-from jaxik.kinematics.task import Task
-from jaxik.reasons import Reason, Reasoned
-from jaxik.spatial.rotations import frame
-from jaxik.spmd import HostKernel
-from jaxik.spmd.batch import in_blocks
+from jaxik.pytree import static
+from jaxik.reasons import Reason
+from jaxik.results import Result
 
 TARGETS = 16_384  # at a time, which bounds the memory
-DEFAULT = IKOptions()
-MENDS = {  # of targets that are no poses, by the length of their rows
-    3: "; for positions alone give task=jaxik.Task.position(), for poses jaxik.pose(xyz, wxyz=...)",
-    7: "; jaxik.pose(xyz, wxyz=...) makes poses of positions and quaternions",
-}
-FAULTS = (  # of a target that is no pose, by the number in `IKResult.fault`
-    "",
-    "its position holds NaN or infinity",
-    "its rotation is 0, as of a quaternion of length 0",
-    "its rotation holds NaN or infinity",
-    "its last row is not 0 0 0 1",
-    f"its rotation R scales or shears: R'R is further than {RIGID:g} from 1",
-    "its rotation mirrors: its determinant is -1",
-)
+TOLD = 1_024  # at a time, where progress is told
 
 
 class Offenders(tuple[tuple[Contact, ...], ...]):
-    """What stands in the way of each target of a batch, which prints as a line a target that has any."""
+    """The contacts in the way of each target of a batch; they print as a line a target that has any."""
 
     def __str__(self) -> str:
         return "\n".join(f"target {i}: {'; '.join(map(str, each))}" for i, each in enumerate(self) if each)
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class IKResult(Reasoned):
-    """One entry a target; of a single target, the entries themselves. `len`, iteration and indices go by targets, a single one
-    being one row; it is true if it is solved, and what a batch's truth is must be asked of `success`.
+class IKResult(Result):
+    """The answers of `solve_ik`, or the reasons why there are none: one entry a target; a single target's entries themselves.
 
     q (n,) [rad, m] is the answer, or, where there is none, the nearest miss inside the limits (NaN for a target that is invalid
     or proven out of reach: it is not searched for). position_error [m] and rotation_error [rad] belong to q, in float64;
@@ -85,20 +64,29 @@ class IKResult(Reasoned):
     solutions: Float[np.ndarray, "*b k n"]
     num_solutions: Int[np.ndarray, "*b"] | Any
     fault: Int[np.ndarray, "*b"] | Any = 0
-    solved_in: Any = dataclasses.field(default=None, repr=False, metadata={"static": True})  # robot, scene, margin
+    solved_in: Any = static(default=None)  # robot, scene, margin
+    ROW: ClassVar = "target"
+    HELP: ClassVar = {
+        Reason.OUT_OF_REACH: "check its unit, its frame, which is the robot's base, and the robot's tip, or move one of them",
+        Reason.LIMITS: "free components by task=, or move the target or the base",
+        Reason.COLLISION: "`offenders` names what is in the way; a free component or more max_seeds may lead around it",
+        Reason.NOT_CONVERGED: "raise max_seeds",
+    }
 
     @property
     def why(self) -> Any:
-        """The reasons in words, of an INVALID target with what is wrong with it: text, or an array of texts."""
-        faults = np.array([f": {fault}" if fault else "" for fault in FAULTS])[np.asarray(self.fault, int)]
-        words = np.char.add(self.reasons, np.broadcast_to(faults, np.shape(self.reason)))
-        return words if words.ndim else str(words)
+        """The reasons in words, with what would help, or what is wrong with an INVALID target; of a batch an array of texts."""
+        fault, words = np.asarray(self.fault, int), super().why
+        if not fault.any():
+            return words
+        told = np.where(fault > 0, np.array([f"{Reason.INVALID}: {text}" for text in FAULTS])[fault], words)
+        return told if told.ndim else str(told)
 
     @functools.cached_property
     def offenders(self) -> tuple[Any, ...]:
-        """What stands in the way of a target that ended in COLLISION: its `Contact`s below the margin at q, nearest first;
-        () for another reason. Of a batch one such tuple a target, one line each in print. Looked up when first asked."""
-        if np.ndim(self.reason):
+        """The `Contact`s below the margin at q of a target that ended in COLLISION, nearest first; () for another reason.
+        A batch has one such tuple a target, one line each in print. Looked up when first asked."""
+        if not self.single:
             return Offenders(row.offenders for row in self)
         if self.reason != Reason.COLLISION or self.solved_in is None:
             return ()
@@ -106,47 +94,36 @@ class IKResult(Reasoned):
         found = explain(robot, scene, self.q, count=sys.maxsize, below=margin).contacts
         return found or explain(robot, scene, self.q, count=1).contacts  # rounding may put the nearest on the margin itself
 
-    def __len__(self) -> int:
-        """How many targets: 1 for a single one."""
-        return np.size(self.reason)
-
-    def __getitem__(self, rows: Any) -> IKResult:
-        """The entry of one target, or of those that a slice, mask or list picks. A single target's is number 0."""
-        columns = self if np.ndim(self.reason) else jax.tree_util.tree_map(lambda x: np.asarray(x)[None], self)
-        picked = jax.tree_util.tree_map(lambda x: x[rows], columns)
-        if not np.ndim(picked.reason):
-            vars(picked)["reason"] = Reason(int(picked.reason))  # of what was just made
-        return picked
-
-    def __iter__(self) -> Iterator[IKResult]:
-        return (self[i] for i in range(len(self)))
-
-    def __bool__(self) -> bool:
-        """Whether a single target is solved. Raises `ValueError` for a batch."""
-        if np.ndim(self.reason):
-            raise ValueError(f"the truth of {len(self)} targets is not one answer; ask success.all() or success.any()")
-        return bool(self.success)
+    @staticmethod
+    def joined(parts: Sequence[IKResult]) -> IKResult:
+        """One batch of several, at least one, one after another; as many solutions wide as the widest."""
+        if len(parts) == 1:
+            return parts[0]
+        width = max(part.solutions.shape[1] for part in parts)
+        fill = lambda x: np.pad(x, ((0, 0), (0, width - x.shape[1]), (0, 0)), constant_values=np.nan)
+        wide = [dataclasses.replace(part, solutions=fill(part.solutions)) for part in parts]
+        return jax.tree_util.tree_map(lambda *columns: np.concatenate(columns), *wide)
 
 
 def solve_ik(
     robot: Robot,
     targets: Any,
-    scene: Scene | Grouped | None = None,
+    *,
+    scene: Scene | None = None,
     seed: int = 0,
     options: IKOptions | None = None,
-    progress: Callable[[int], Any] | None = None,
+    progress: Callable[[int, int], Any] | None = None,
     **changes: Any,
 ) -> IKResult:
-    """Configurations inside the limits whose tip has the target poses, `base_T_tip` (4, 4) or (N, 4, 4) [m]; or reasons. Host
-    driver.
+    """Finds configurations inside the limits whose tip has the target poses, `base_T_tip` (4, 4) or (N, 4, 4) [m]; or reasons.
+    Host driver.
 
     An answer keeps `margin` to the scene, and the robot to itself; without a scene to itself alone. Nothing is checked for a
     robot without collision geometry, and with `collision=False`; where only the geometry's meshes were not read, a warning says
     so.
 
-    A task that binds no rotation takes positions too, (3,) or (N, 3). `changes` are fields of `IKOptions` by name. `progress`
-    is called with the number of targets done. Deterministic: `seed` decides, and a target's result does not depend on the
-    others.
+    A task that binds no rotation takes positions too, (3,) or (N, 3). `changes` are fields of `IKOptions` by name.
+    `progress(done, total)` counts targets. Deterministic: `seed` decides, and a target's result does not depend on the others.
 
     Reasons: SOLVED; OUT_OF_REACH, proven by the robot's reach bound or its closed form; LIMITS, found only beyond them, which
     is a proof where the closed form knows all answers; COLLISION, found, but every one collides; NOT_CONVERGED; INVALID, the
@@ -156,35 +133,31 @@ def solve_ik(
     in collision in every configuration, and of meshes that were not read.
     """
     check_kind("solve_ik", "robot", robot, Robot)
-    if not isinstance(scene, tuple):  # which is grouped
-        check_kind("solve_ik", "scene", scene, Scene, optional=True)
-    options = changed("solve_ik", options or DEFAULT, changes)
-    poses, fault, single = as_poses(targets, options.task)
-    scene, unseen = _around(robot, scene, options)
+    check_kind("solve_ik", "scene", scene, Scene, optional=True)
+    options = IKOptions.chosen(options, changes)
+    given = Poses.of(targets, options.task)
+    around, unseen = _around(robot, scene, options)
     if unseen:
         warnings.warn(f"solve_ik: {unseen}", stacklevel=2)
-    if isinstance(scene, Scene):
-        warn_of_scene("solve_ik", robot, scene, options.margin)
-    if doubt := millimetres(robot, poses[fault == 0, :3, 3]):
+    if around is not None:
+        warn_of_scene("solve_ik", robot, around, options.margin)
+    if doubt := millimetres(robot, given.poses[given.fault == 0, :3, 3]):
         warnings.warn(f"solve_ik: {doubt}", stacklevel=2)
-    result = solved(robot, poses, fault, scene, seed, options, progress)
-    return result[0] if single else result
+    result = solved(robot, given, around, seed, options, progress)
+    return result[0] if given.single else result
 
 
-def _around(robot: Robot, scene: Scene | Grouped | None, options: IKOptions) -> tuple[Scene | Grouped | None, str]:
-    """What answers keep clear of, None where nothing is looked at; and in words, what of the robot would have to be seen and is
-    not."""
+def _around(robot: Robot, scene: Scene | None, options: IKOptions) -> tuple[Scene | None, str]:
+    """Returns the scene that answers keep clear of, None where nothing is looked at; and in words, which of the robot's meshes
+    would have to be read and are not."""
+    is_looked_at("solve_ik", robot, scene, options.collision is not False)
     if options.collision is False:
-        if scene is not None:
-            raise ValueError("solve_ik: a scene with collision=False, which looks at no obstacle; leave one of them out")
         return None, ""
     if scene is None and not options.margin and options.choice != "clearance" and not has_geometry(robot):
         links = ", ".join(robot.unread_meshes[:5])
         words = f"{robot.name} may hit itself unseen: the meshes of {links} were not read"
-        return (
-            None,
-            links and f"{words}; load it with meshes=True (without --no-meshes), or say collision=False (--no-collision)",
-        )
+        mend = "load it with meshes=True (without --no-meshes), or say collision=False (--no-collision)"
+        return None, f"{words}; {mend}" if links else ""
     check_geometry(robot)
     return _nothing_else() if scene is None else scene, ""
 
@@ -194,83 +167,26 @@ _nothing_else = functools.cache(make_scene)  # one, which remembers what a robot
 
 def solved(
     robot: Robot,
-    poses: np.ndarray,
-    fault: np.ndarray,
+    targets: Poses,
     scene: Scene | Grouped | None,
     seed: int,
     options: IKOptions,
-    progress: Callable[[int], Any] | None = None,
+    progress: Callable[[int, int], Any] | None = None,
 ) -> IKResult:
-    """`solve_ik` of many, once what was given is checked and told: `poses` and `fault` as `as_poses` gives them. Without a
-    scene nothing is looked at that may be hit, and `()` is the robot alone."""
-    problem, valid = Problem.of(robot, scene, seed, options, len(poses)), fault == 0
-    parts: list[IKResult] = []
-    for start in range(0, max(1, len(poses)), TARGETS):
-        rows = slice(start, start + TARGETS)
-        part = problem.part(rows)
-        parts.append(_result(part, search(part, poses[rows], valid[rows]), fault[rows]))
+    """Solves for many targets whose arguments are checked. Nothing is looked at without a scene; `()` is the robot alone."""
+    problem, parts = Problem.of(robot, scene, seed, options, targets), []
+    count, size = len(targets.poses), TOLD if progress else TARGETS
+    for start in range(0, max(1, count), size):
+        part = problem.part(slice(start, start + size))
+        parts.append(_result(part, search(part)))
         if progress:
-            progress(min(start + TARGETS, len(poses)))
-    joined = parts[0] if len(parts) == 1 else jax.tree_util.tree_map(lambda *columns: np.concatenate(columns), *_as_wide(parts))
+            progress(min(start + size, count), count)
+    joined = IKResult.joined(parts)
     return joined if scene is None else dataclasses.replace(joined, solved_in=(robot, scene, options.margin))
 
 
-def _as_wide(parts: list[IKResult]) -> list[IKResult]:
-    """With as many columns of `solutions` as the part with most of them has."""
-    width = max(part.solutions.shape[1] for part in parts)
-    filled = lambda x: np.pad(x, ((0, 0), (0, width - x.shape[1]), (0, 0)), constant_values=np.nan)
-    return [dataclasses.replace(part, solutions=filled(part.solutions)) for part in parts]
-
-
-def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Target poses (N, 4, 4) with their rotations made orthonormal, what is wrong with each (N,), a number of `FAULTS`, 0 of a
-    pose, and whether it is a single one."""
-    if isinstance(targets, jax.core.Tracer):
-        mend = "jit or vmap jaxik.ik.descend, or differentiate an answer by jaxik.implicit_ik"
-        raise ValueError(f"solve_ik: targets are traced, and it is a driver on the host; {mend}")
-    given = numbers("targets", targets)
-    poses = frame(given) if not task.rotations and given.ndim in (1, 2) and given.shape[-1] == 3 else given
-    if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
-        also = " or positions (3,), (N, 3)" if not task.rotations else ""
-        mend = MENDS.get(given.shape[-1], "") if given.ndim in (1, 2) else ""
-        raise ValueError(f"targets have shape {given.shape}; allowed: poses (4, 4) or (N, 4, 4){also}{mend}")
-    each = poses.reshape(-1, 4, 4)
-    cleaned, valid = in_blocks(RIGID_POSE, each, double=True)
-    fault = np.zeros(len(each), np.int8)
-    fault[~valid] = [_fault(pose) for pose in each[~valid]]
-    return cleaned, fault, poses.ndim == 2
-
-
-def _fault(pose: np.ndarray) -> int:
-    """Which of `FAULTS` a matrix (4, 4) that is no pose has: the first."""
-    rotation, last = pose[:3, :3], np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0])
-    with np.errstate(over="ignore", invalid="ignore"):
-        away = np.abs(rotation.T @ rotation - np.eye(3)).max()
-    fine = np.isfinite(pose[:3, 3]).all(), rotation.any(), np.isfinite(rotation).all(), last.max() <= RIGID, away <= RIGID
-    return 1 + [*fine, False].index(False)
-
-
-def _rigid_pose(pose: Any) -> tuple[Any, Any]:
-    """A pose (4, 4) with its rotation made orthonormal, and whether it was one (as `arrays.is_rigid`); else the identity."""
-    rotation, last = pose[:3, :3], jnp.array([0.0, 0.0, 0.0, 1.0])
-    off = jnp.max(jnp.abs(rotation.T @ rotation - jnp.eye(3)))
-    right_handed = jnp.dot(jnp.cross(rotation[0], rotation[1]), rotation[2]) > 0.0
-    valid = jnp.all(jnp.isfinite(pose)) & (off <= RIGID) & jnp.all(jnp.abs(pose[3] - last) <= RIGID) & right_handed
-    for _ in range(2):  # towards the nearest rotation, quadratically [Higham 1986]
-        rotation = rotation @ (1.5 * jnp.eye(3) - 0.5 * rotation.T @ rotation)
-    pose = jnp.concatenate([jnp.concatenate([rotation, pose[:3, 3:]], axis=1), last[None]])
-    return jnp.where(valid, pose, jnp.eye(4)), valid
-
-
-RIGID_POSE = HostKernel(_rigid_pose, 1)
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# What is returned
-
-
-def _result(problem: Problem, outcome: Outcome, fault: np.ndarray) -> IKResult:
-    """Of each target the best answer, else the freest of those that collide, else the nearest miss."""
+def _result(problem: Problem, outcome: Outcome) -> IKResult:
+    """Returns each target's best answer, else its freest posture that collides, else its nearest miss."""
     found, stuck = outcome.found, outcome.stuck
     count, n = len(outcome.reason), problem.robot.num_joints
     if problem.most > 1:
@@ -294,4 +210,4 @@ def _result(problem: Problem, outcome: Outcome, fault: np.ndarray) -> IKResult:
     width = max([1, *known]) if problem.options.solutions == "all" else problem.most
     solutions = np.full((count, width, n), np.nan)
     solutions[best.target, np.arange(len(best.target)) - np.searchsorted(best.target, best.target)] = best.q
-    return IKResult(shown.q, outcome.reason, *shown[2:], solutions=solutions, num_solutions=known, fault=fault)
+    return IKResult(shown.q, outcome.reason, *shown[2:], solutions=solutions, num_solutions=known, fault=problem.fault)

@@ -32,8 +32,8 @@ from jaxik.spmd import HostKernel, kernel
 from jaxik.spmd.batch import in_blocks
 
 
-class Landed(NamedTuple):
-    """Where a lane ended: q (n,), and the errors of its tip [m], [rad]."""
+class DescendedIK(NamedTuple):
+    """The end of a descent: q (n,), and the errors of its tip [m], [rad]."""
 
     q: Float[Array, "*b n"]
     position_error: Float[Array, "*b"]
@@ -52,6 +52,8 @@ class Goal(NamedTuple):
 
 
 SEARCH = sqp.Options()
+AVOID = sqp.Options(passes=3)  # for clearance
+IMPROVE = sqp.Options(hessian="bfgs", merit="augmented_lagrangian", floor=1e-10, passes=3)  # for a cost
 
 
 def unit_length(robot: Robot) -> float:
@@ -59,28 +61,24 @@ def unit_length(robot: Robot) -> float:
     return reach_bound(robot, False).length / 3.0
 
 
-def descend(
-    robot: Robot,
-    target: Float[Array, "4 4"],
-    q: Float[Array, " n"],
-    task: Task = POSE,
-    iterations: int = 20,
-    options: sqp.Options = SEARCH,
-) -> Landed:
-    """`iterations` SQP steps from the seed q (n,) towards `base_T_tip = target` (4, 4) [m], inside the robot's limits. Traced.
+def descend_ik(
+    robot: Robot, target: Float[Array, "4 4"], q: Float[Array, " n"], *, task: Task = POSE, iterations: int = 20
+) -> DescendedIK:
+    """Makes `iterations` SQP steps from the seed q (n,) towards `base_T_tip = target` (4, 4) [m], inside the robot's limits.
+    Traced.
 
-    One lane of what `solve_ik` makes of many seeds, for control loops and pipelines of one's own: `jit` and `vmap` it. Nothing
-    is judged but by the errors it returns: where they are not small, another seed is wanted. For the derivative of a
-    solution `implicit_ik` needs none of the steps. Raises `ValueError` for a q of another shape.
+    This is one lane of what `solve_ik` makes of many seeds, for control loops and pipelines of one's own: `jit` and `vmap` it.
+    Only the returned errors judge it: where they are not small, take another seed. For the derivative of a solution
+    `implicit_ik` needs none of the steps. Raises `ValueError` for a q of another shape.
     """
-    return _descend(robot, task, as_count("iterations", iterations), options, jnp.asarray(target), as_configuration(robot, q))
+    return _descend(robot, task, as_count("iterations", iterations), jnp.asarray(target), as_configuration(robot, q))
 
 
-@kernel(models=4)
-def _descend(robot: Robot, task: Task, iterations: int, options: sqp.Options, target: Any, q: Any) -> Landed:
+@kernel(models=3)
+def _descend(robot: Robot, task: Task, iterations: int, target: Any, q: Any) -> DescendedIK:
     low, high = jnp.asarray(robot.lower, q.dtype), jnp.asarray(robot.upper, q.dtype)
     limits = low, high, jnp.ones_like(q)
-    return land(robot, Goal(task), iterations, options, jnp.clip(q, low, high), target.astype(q.dtype), limits)
+    return land(robot, Goal(task), iterations, SEARCH, jnp.clip(q, low, high), target.astype(q.dtype), limits)
 
 
 @functools.lru_cache(maxsize=256)
@@ -91,11 +89,11 @@ def batch(lanes: int, function: Callable[..., Any], *known: Any) -> HostKernel:
 
 def land(
     robot: Robot, goal: Goal, iterations: int, options: sqp.Options, q: Any, pose: Any, limits: Any, around: Any = (None, None)
-) -> Landed:
+) -> DescendedIK:
     """`sqp.run` from q to a pose; `limits` are lower, upper and weights, `around` is a scene, and the margin to keep."""
     low, high, weights = limits
     problem = _problem(robot, goal, pose, weights, around, q.dtype)
-    return Landed(*_apart(robot, goal.task, *sqp.run(problem, q, low, high, iterations, options)))
+    return DescendedIK(*_apart(robot, goal.task, *sqp.run(problem, q, low, high, iterations, options)))
 
 
 def settle(

@@ -45,7 +45,7 @@ def postures(
         reference=np.nan_to_num(starts),  # NaN is told of later
         weights=1.0 / np.minimum(*limits),
     )
-    found = solve_ik(robot, poses, make_scene() if scene is None else scene, seed, asked)
+    found = solve_ik(robot, poses, scene=make_scene() if scene is None else scene, seed=seed, options=asked)
     nearest = nearest_turns(robot, found.solutions, starts[:, None], robot.lower, robot.upper)
     order = np.argsort(np.nan_to_num(limits.straight(nearest - starts[:, None]), nan=np.inf), axis=1, kind="stable")
     ordered = np.take_along_axis(nearest, order[..., None], axis=1)

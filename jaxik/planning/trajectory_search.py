@@ -107,7 +107,7 @@ class Search:
             collision=False if self.judge.space is None else "constraint",
         )
         scene = None if self.judge.space is None else self.scene
-        found = solve_ik(self.robot, self.poses[open_], scene, self.seed, asked)
+        found = solve_ik(self.robot, self.poses[open_], scene=scene, seed=self.seed, options=asked)
         self.reason[open_] = np.where(found.success, int(Reason.NOT_CONVERGED), found.reason)
         counts = np.asarray(found.num_solutions)
         each = np.arange(self.options.postures) < counts[:, None]

@@ -22,7 +22,8 @@ from jaxik.checks.optional_modules import optional
 from jaxik.checks.options import shown
 from jaxik.collision.always_colliding import warn_of_scene
 from jaxik.collision.scene_builder import make_scene
-from jaxik.ik.solve import IKResult, as_poses, solved
+from jaxik.ik.problem import Poses
+from jaxik.ik.solve import IKResult, solved
 from jaxik.reasons import Reason
 from jaxik.sweeps.auditing import audit
 from jaxik.sweeps.evaluation import Columns, answer
@@ -63,8 +64,8 @@ class Sweep(NamedTuple):
             scene = study.targets.scenes[crops[colliding[0]]]
             colliding = colliding[crops[colliding] == crops[colliding[0]]]
         base_T_frame = np.linalg.inv(variant.robot.world_T_base) if study.targets.frame == "world" else None
-        poses, fault, _ = as_poses(study.targets.poses_at(colliding, base_T_frame), study.ik.task)
-        return solved(variant.robot, poses, fault, scene, study.seed, study.ik)
+        targets = Poses.of(study.targets.poses_at(colliding, base_T_frame), study.ik.task)
+        return solved(variant.robot, targets, scene, study.seed, study.ik)
 
 
 def sweep(

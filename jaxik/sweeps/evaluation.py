@@ -18,8 +18,9 @@ from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.scene import Scene, remembered
 from jaxik.collision.scene_builder import make_scene
 from jaxik.costs import joint_limit_margin
+from jaxik.ik.problem import Poses
 from jaxik.ik.solutions import first_most
-from jaxik.ik.solve import IKResult, as_poses, solved
+from jaxik.ik.solve import IKResult, solved
 from jaxik.kinematics.forward import manipulability, pose_errors
 from jaxik.kinematics.robot import Robot
 from jaxik.reach.certify import beyond, certify
@@ -82,7 +83,7 @@ def answer(study: Study, variant: Variant, rows: slice) -> Columns:
     base_T_frame = base_T_world if study.targets.frame == "world" else None
     poses, valid = study.targets.poses_at(np.arange(rows.start, rows.stop), base_T_frame), np.ones(count, bool)
     if study.targets.poses is not None:  # someone else's, who may have got them wrong
-        poses, fault, _ = as_poses(poses, study.ik.task)
+        poses, fault, _ = Poses.of(poses, study.ik.task)
         valid = fault == 0
     around = _Crops.of(study, robot, rows, base_T_world) if study.collision else None
     solve = _closed_form if study.method(robot) == "closed form" else _search
@@ -370,7 +371,7 @@ def _search(study: Study, robot: Robot, poses: np.ndarray, valid: np.ndarray, ar
 
 
 def _searched(study: Study, robot: Robot, poses: np.ndarray, scene: Grouped | None) -> Columns:
-    found: IKResult = solved(robot, *as_poses(poses, study.ik.task)[:2], scene, study.seed, study.ik)
+    found: IKResult = solved(robot, Poses.of(poses, study.ik.task), scene, study.seed, study.ik)
     columns = _no_answer(robot, len(poses))
     rows = np.flatnonzero(found.success)
     worth = in_blocks(_worth(robot), found.q[rows], poses[rows], double=True) if len(rows) else []

@@ -191,9 +191,9 @@ class Page:
     def reach(self, world_T_tip: np.ndarray) -> Reason:
         """Brings the tip to a pose (4, 4), by the posture next to the one shown; where there is none, says why."""
         base_T_tip = np.linalg.inv(np.asarray(self.robot.world_T_base)) @ world_T_tip
-        near = IKOptions(self.task, reference=self._q, seeds="near", max_seeds=32)
+        near = IKOptions(task=self.task, reference=self._q, seeds="near", max_seeds=32)
         if self.clear.value and not self.blind:
-            found = solve_ik(self.robot, base_T_tip, self.scene, options=near)
+            found = solve_ik(self.robot, base_T_tip, scene=self.scene, options=near)
         else:
             found = solve_ik(self.robot, base_T_tip, options=near, collision=False)
         reason = Reason(int(found.reason))

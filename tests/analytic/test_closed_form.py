@@ -168,4 +168,4 @@ def test_limits_where_a_posture_stands_for_many():
     poses = np.stack([jaxik.forward_kinematics(robot, each) for each in q])
     assert jaxik.solve_ik(robot, poses).success.all()
     narrow = dataclasses.replace(robot, lower=np.full(6, 0.1), upper=np.full(6, 1.0))
-    assert set(jaxik.solve_ik(narrow, poses).reasons) == {"limits"}
+    assert set(jaxik.solve_ik(narrow, poses).counts()) == {"limits"}

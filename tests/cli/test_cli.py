@@ -277,7 +277,7 @@ def test_drivers_say_what_is_missing_before_they_compile(monkeypatch):
     for robot, words in ((bare, "no collision geometry"), (half, "meshes of upper_arm_link")):
         study = {"robot": robot, "collision": {"scene": scene}, "targets": {"kind": "crop"}}
         for driver in (
-            lambda robot: jaxik.solve_ik(robot, np.eye(4), scene),
+            lambda robot: jaxik.solve_ik(robot, np.eye(4), scene=scene),
             lambda robot: jaxik.harvesting.scan(robot, scene, scene.marks[0]),
             lambda robot: jaxik.harvest(robot, scene),
             lambda robot: jaxik.reach.likely_postures(robot, scene, np.eye(4)[None]),
@@ -295,7 +295,7 @@ def test_a_cell_without_a_fruit(tmp_path, monkeypatch, capsys):
     cell.write_text('name = "cell"\n[[object]]\nname = "table"\nboxes = [[0.5, 0, -0.1, 1, 1, 0.1]]\n')
     targets.write_text("x,y,z\n0.5,0.6,0.4\n")
     seen = []
-    monkeypatch.setattr(jaxik, "solve_ik", lambda robot, poses, scene, *_, **__: stopped(seen.append(scene)))
+    monkeypatch.setattr(jaxik, "solve_ik", lambda robot, poses, *, scene, **__: stopped(seen.append(scene)))
     assert "far enough" in refused(monkeypatch, capsys, "ik", "p6r", targets, "--scene", cell)
     assert seen[0].object_names == ("table",)
     study = jaxik.sweeps.Study.of({"robot": "p6r", "collision": {"scene": str(cell)}, "targets": GRID})

@@ -125,7 +125,7 @@ def test_answers_and_plans_are_free_by_the_meshes(arm):
     truth = Truth(exact, q)
     ends = q[[i for i in range(len(q)) if min(truth.itself(i), truth.scene(i)) > 0.01]][:12]
     poses = measured(lambda q: jaxik.forward_kinematics(exact, q), ends)
-    found = jaxik.solve_ik(exact, poses, SCENE, task=jaxik.Task.position())
+    found = jaxik.solve_ik(exact, poses, scene=SCENE, task=jaxik.Task.position())
     assert found.success.all()
     answers = Truth(exact, found.q)
     assert all(min(answers.itself(i), answers.scene(i)) > 0.0 for i in range(len(found.q)))

@@ -267,7 +267,7 @@ def hand_made(kind, **arrays):
 def test_drivers_refuse_what_was_put_in_by_hand(kind, arrays, words):
     scene, robot = hand_made(kind, **arrays), jaxik.load("pendulum4")
     for ask in (
-        lambda: jaxik.solve_ik(robot, np.eye(4), scene),
+        lambda: jaxik.solve_ik(robot, np.eye(4), scene=scene),
         lambda: jaxik.explain(robot, scene, np.zeros(4)),
         lambda: scene.padded(),
     ):

@@ -31,7 +31,7 @@ def cell():
 
 def test_what_stands_in_collision_is_told(post, cell):
     with pytest.warns(UserWarning) as told:
-        result = jaxik.solve_ik(post(), TARGET, cell)
+        result = jaxik.solve_ik(post(), TARGET, scene=cell)
     words = (
         'foot and floor collide by 20.0 mm in every configuration; where that is meant, load the robot with ignore=[("foot", '
     )
@@ -40,12 +40,12 @@ def test_what_stands_in_collision_is_told(post, cell):
     assert "and 1 more pair;" in standing_words(post(), cell, 0.9)[0]  # with a margin the rail is too near as well
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert jaxik.solve_ik(post(ignore=[("foot", "floor")]), TARGET, cell)
+        assert jaxik.solve_ik(post(ignore=[("foot", "floor")]), TARGET, scene=cell)
 
 
 def test_a_misspelt_object_is_told(post, cell):
     with pytest.warns(UserWarning) as told:
-        jaxik.solve_ik(post(ignore=[("foot", "flor")]), TARGET, cell)
+        jaxik.solve_ik(post(ignore=[("foot", "flor")]), TARGET, scene=cell)
     assert "scene 'cell' has no object 'flor', which foot ignores; did you mean 'floor'?" in str(told[1].message)
     assert standing_words(post(ignore=["foot", ("arm", "wall")]), cell, 0.0) == []  # of another scene
 
@@ -63,7 +63,7 @@ def test_an_invalid_target_says_why():
     bad[5, 0, 0] = -1.0
     result = jaxik.solve_ik(robot, bad)
     words = ("position holds NaN", "length 0", "rotation holds NaN", "last row", "scales", "mirrors")
-    assert all(word in why for word, why in zip(words, result.why, strict=False)) and result.why[6] == result.reasons[6]
+    assert all(word in why for word, why in zip(words, result.why, strict=False)) and result.why[6] == "solved"
     assert result[1].why == "invalid: its rotation is 0, as of a quaternion of length 0" and list(result[5:].why) == [
         *result.why[5:]
     ]

@@ -15,8 +15,12 @@ TARGETS = np.stack([jaxik.forward_kinematics(ARM, np.array([0.3, 0.4])), np.full
 
 def test_results_are_trees_with_their_reasons_in_words():
     found = jaxik.solve_ik(ARM, TARGETS, task=jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base"))
-    assert found.reasons.tolist() == ["solved", "invalid"] and found.counts() == {"solved": 1, "invalid": 1}
-    assert found[1].reasons == "invalid" and found[1].counts() == {"invalid": 1}
+    assert found.why.tolist() == ["solved", "invalid: its position holds NaN or infinity"]
+    assert found.counts() == {
+        "solved": 1,
+        "invalid": 1,
+    }
+    assert found[1].why == found.why[1] and found[1].counts() == {"invalid": 1}
     doubled = jax.tree_util.tree_map(lambda x: np.concatenate([x, x]), found)
     assert len(doubled) == 4 and doubled.counts() == {"solved": 2, "invalid": 2}
 

@@ -37,7 +37,7 @@ CALLS = {  # name -> (function of arrays, arrays)
     "touch.locate_contact": (lambda q: touch.locate_contact(ARM, q, 0.1 * q, 6, [[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]]), Q),
     "teleoperation.reflect": (lambda q: teleoperation.reflect(ARM, q, TOUCH), Q),
     "teleoperation.reflect_cost": (lambda q: teleoperation.reflect_cost(ARM, q, HOLD), Q),
-    "ik.descend": (lambda q: ik.descend(ARM, POSE, q), Q),
+    "ik.descend_ik": (lambda q: ik.descend_ik(ARM, POSE, q), Q),
     "ik.implicit_ik": (lambda pose, q: ik.implicit_ik(UR, pose, q), POSE, Q[:6]),
     "motions.resolve": (lambda q: motions.resolve(ARM, q, MOTION, cost=HOLD), Q),
     "reach.log_reach_score": (lambda q: reach.log_reach_score(ARM, SCENE, POSE[None], q[None]), Q),

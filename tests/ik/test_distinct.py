@@ -5,8 +5,9 @@ import pytest
 
 import jaxik
 from jaxik.ik.options import IKOptions
-from jaxik.ik.problem import Problem
+from jaxik.ik.problem import Poses, Problem
 from jaxik.ik.solutions import candidates, far_apart
+from jaxik.kinematics import Task
 
 APART = 0.2
 
@@ -26,11 +27,11 @@ def by_the_rule(robot, q, score):
 @pytest.mark.parametrize("name", ["gen3", "ur5e", "crops_v2"])  # four of the joints of a Gen3 have no limits
 @pytest.mark.parametrize("count", [1, 4, 1000])
 def test_far_apart(name, count):
-    robot, rng = jaxik.load(name), np.random.default_rng(0)
+    robot, rng, targets = jaxik.load(name), np.random.default_rng(0), Poses.of([np.eye(4)] * 5, Task())
     for noise in (0.0, 0.02, 0.1, 1.0):
         centres, target = rng.uniform(-4.0, 4.0, (6, robot.num_joints)), np.sort(rng.integers(0, 5, 300))
         q = centres[rng.integers(0, 6, 300)] + noise * rng.normal(size=(300, robot.num_joints))
-        score, problem = rng.permutation(300).astype(float), Problem.of(robot, None, 0, IKOptions(), 5)
+        score, problem = rng.permutation(300).astype(float), Problem.of(robot, None, 0, IKOptions(), targets)
         kept = far_apart(problem, candidates(q, target, np.zeros(300, int)), score, count, APART)
         for number in range(5):
             (of_it,) = np.nonzero(target == number)

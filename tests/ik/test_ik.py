@@ -86,6 +86,24 @@ def test_alone_and_in_any_batch_the_same(panda):
     np.testing.assert_array_equal(again.q[::-1], whole.q)
 
 
+def test_progress_counts_targets(panda, monkeypatch):
+    """In parts, which change no answer."""
+    targets, told = reachable(panda, 5), []
+    whole = jaxik.solve_ik(panda, targets)
+    monkeypatch.setattr("jaxik.ik.solve.TOLD", 2)
+    parts = jaxik.solve_ik(panda, targets, solutions="all", progress=lambda *count: told.append(count))
+    assert told == [(2, 5), (4, 5), (5, 5)] and len(parts) == 5
+    np.testing.assert_array_equal(jaxik.solve_ik(panda, targets, progress=lambda *_: None).q, whole.q)
+
+
+def test_a_result_says_what_would_help(panda):
+    far = reachable(panda, 2)
+    far[0, 0, 3] += 9.0
+    result = jaxik.solve_ik(panda, far)
+    assert result.why[0].startswith("out of reach; check its unit") and result.why[1] == "solved" == result[1].why
+    assert str(result).splitlines()[0] == "IKResult: 1 of 2 solved, 1 out of reach"
+
+
 def test_misses_rank_the_same_beside_one_that_is_finished(panda):
     """Equal errors in float32 stay equal where another target's, in float64, are ranked with them."""
     width = panda.upper - panda.lower
@@ -108,8 +126,8 @@ def test_nothing_compiles_for_another_number(panda):
 
 
 def _programs(robot):
-    from jaxik.ik.options import SEARCH
     from jaxik.ik.refinement import FINISH
+    from jaxik.ik.sqp_programs import SEARCH
     from jaxik.kinematics.task import POSE
 
     return [sqp_programs.batch(3, sqp_programs.settle, robot, POSE, options) for options in (SEARCH, FINISH)]
@@ -203,7 +221,7 @@ def test_mistakes_are_one_line(panda):
         (lambda: jaxik.solve_ik(panda, eye, margin=0.01), ("no collision geometry",)),
         (lambda: jaxik.solve_ik(panda, eye, margin=0.01, collision=False), ("margin 0.01", "collision=False")),
         (lambda: jaxik.solve_ik(panda, eye, choice="clearance", collision=False), ("'clearance'", "collision=False")),
-        (lambda: jaxik.solve_ik(panda, eye, jaxik.make_scene(), collision=False), ("scene", "collision=False")),
+        (lambda: jaxik.solve_ik(panda, eye, scene=jaxik.make_scene(), collision=False), ("scene", "collision=False")),
         (lambda: jaxik.solve_ik(panda, eye, collision="soft"), ("soft", "constraint")),
         (lambda: jaxik.Task((False,) * 6), ("at least one",)),
         (lambda: jaxik.Task((True,) * 6, "world"), ("world", "tool")),
@@ -593,7 +611,7 @@ def test_a_scene_is_kept_clear_of():
     targets = reachable(robot, 60, seed=18)
     alone = jaxik.solve_ik(robot, targets)
     distance = jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)))
-    result = jaxik.solve_ik(robot, targets, scene, margin=0.01)
+    result = jaxik.solve_ik(robot, targets, scene=scene, margin=0.01)
     assert set(np.unique(result.reason)) <= {Reason.SOLVED, Reason.COLLISION, Reason.NOT_CONVERGED}
     assert result.success.sum() > np.sum(distance(alone.q) >= 0.01) and result.success.sum() >= 20
     assert np.all(distance(result.q[result.success]) >= 0.01 - SLACK)
@@ -601,7 +619,7 @@ def test_a_scene_is_kept_clear_of():
     assert_solves(robot, result, targets)
     stuck = result.reason == Reason.COLLISION
     assert np.all(result.clearance[stuck] < 0.01) and np.all(result.position_error[stuck] < POSITION)
-    roomy = jaxik.solve_ik(robot, targets, scene, margin=0.01, choice="clearance", max_seeds=64)
+    roomy = jaxik.solve_ik(robot, targets, scene=scene, margin=0.01, choice="clearance", max_seeds=64)
     both = roomy.success & result.success
     assert roomy.clearance[both].mean() > result.clearance[both].mean()
 
@@ -617,7 +635,7 @@ def test_a_free_branch_that_few_searches_land_on_is_found():
     q[:, 4] = rng.normal(0.0, 0.01, len(q))
     free = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)))(q)) > 0.0
     targets = np.stack([pinocchio(robot)(row) for row in q[free][:400]])
-    result = jaxik.solve_ik(robot, targets, scene)
+    result = jaxik.solve_ik(robot, targets, scene=scene)
     assert result.success.all(), result.counts()
     assert_solves(robot, result, targets)
 
@@ -629,7 +647,7 @@ def test_both_forms_of_collision_find_what_is_free(collision):
     middle = (robot.world_T_base @ targets[0])[:3, 3]
     scene = jaxik.make_scene(spheres=[[*middle, 0.3]])
     alone = jaxik.solve_ik(robot, targets, task=in_plane)
-    result = jaxik.solve_ik(robot, targets, scene, task=in_plane, margin=0.01, collision=collision)
+    result = jaxik.solve_ik(robot, targets, scene=scene, task=in_plane, margin=0.01, collision=collision)
     distance = jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)))
     assert result.success.sum() > np.sum(distance(alone.q) >= 0.01)
     assert np.all(distance(result.q[result.success]) >= 0.01 - SLACK)
@@ -656,14 +674,14 @@ def test_a_descent_may_be_traced(panda):
     q = rng.uniform(*joint_range(panda), (64, 7))
     poses = np.array([pinocchio(panda)(x) for x in q])
     near = np.clip(q + rng.uniform(-0.2, 0.2, q.shape), panda.lower, panda.upper)
-    found = jax.jit(jax.vmap(lambda t, x: jaxik.ik.descend(panda, t, x)))(poses, near)
+    found = jax.jit(jax.vmap(lambda t, x: jaxik.ik.descend_ik(panda, t, x)))(poses, near)
     assert np.all((found.q >= panda.lower) & (found.q <= panda.upper))
     landed = np.asarray(found.position_error) < 1e-6
     assert landed.mean() > 0.9
     for target, x, e in zip(poses[landed], np.asarray(found.q)[landed], np.asarray(found.position_error)[landed], strict=True):
         position, _ = pose_errors(pinocchio(panda)(x), target)
         assert position == pytest.approx(e, abs=1e-9)
-    with pytest.raises(ValueError, match=r"descend.*implicit_ik"):
+    with pytest.raises(ValueError, match=r"descend_ik.*implicit_ik"):
         jax.jit(lambda t: jaxik.solve_ik(panda, t).q)(poses[0])
 
 
@@ -672,7 +690,7 @@ def test_a_scene_asks_nothing_of_what_none_collides_with():
     arm = dataclasses.replace(jaxik.load("planar2"), lower=np.array([-0.5, 0.2]), upper=np.array([0.5, 1.0]))
     in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
     beyond = np.asarray(jaxik.forward_kinematics(arm, np.array([2.0, 0.5])))
-    found = jaxik.solve_ik(arm, np.stack([beyond, beyond]), jaxik.make_scene(), task=in_plane)
+    found = jaxik.solve_ik(arm, np.stack([beyond, beyond]), scene=jaxik.make_scene(), task=in_plane)
     assert found.counts() == {"limits": 2}
 
 

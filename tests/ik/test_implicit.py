@@ -53,7 +53,7 @@ def derivative(function, by=jax.jacfwd):
     """Of a solution `function(p, target, q)` by p, and whether it is defined: one program."""
 
     def both(p, target, q):
-        found = lambda p: (lambda f: (f.x, f.defined))(function(p, target, q))
+        found = lambda p: (lambda f: (f.q, f.defined))(function(p, target, q))
         return by(found, has_aux=True)(p)
 
     return both
@@ -160,7 +160,7 @@ def test_by_an_obstacle_that_is_pushed_against(obstacle, pendulum, beads):
         spheres = dataclasses.replace(still.spheres, center=still.spheres.center + along)
         boxes = dataclasses.replace(still.boxes, world_T_box=still.boxes.world_T_box + jnp.zeros((4, 4)).at[:3, 3].set(along))
         moved = dataclasses.replace(still, spheres=spheres, boxes=boxes)
-        return jaxik.implicit_ik(robot, target, q, moved, cost, IN_PLANE, margin=0.01)
+        return jaxik.implicit_ik(robot, target, q, scene=moved, cost=cost, task=IN_PLANE, margin=0.01)
 
     leans = found.success & (np.abs(found.clearance - 0.01) < 1e-7)
     slope, defined = map(np.asarray, jax.jit(jax.vmap(lambda t, q: derivative(move)(jnp.zeros(()), t, q)))(targets, found.q))
@@ -185,3 +185,15 @@ def test_not_defined(panda, by_position):
     for q, regular in ((np.array([0.3, 0.5]), True), (np.array([0.3, 0.0]), False)):  # stretched
         target = pinocchio(arm)(q)
         assert bool(jaxik.implicit_ik(arm, target, q, task=IN_PLANE).defined) is regular
+
+
+def test_links_that_touch_each_other_leave_no_derivative():
+    """A robot is clear of itself unless `collision=False`; a scene beside that is a contradiction."""
+    arm = jaxik.load("ur5e")
+    free = np.array([0.3, -1.2, 1.4, -0.6, 0.9, 0.2])
+    room = float(jaxik.clearance(arm, None, free))
+    target = pinocchio(arm)(free)
+    defined = lambda **more: bool(jaxik.implicit_ik(arm, target, free, **more).defined)
+    assert defined() and defined(margin=room - 1e-3) and not defined(margin=room) and defined(collision=False)
+    with pytest.raises(ValueError, match="implicit_ik: a scene with collision=False"):
+        jaxik.implicit_ik(arm, target, free, scene=jaxik.make_scene(), collision=False)

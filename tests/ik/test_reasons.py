@@ -52,4 +52,4 @@ def test_what_only_the_tolerances_reach_is_not_proven_away():
     alone = jaxik.solve_ik(robot, targets[46])
     np.testing.assert_array_equal(alone.q, jaxik.solve_ik(robot, targets[40:50]).q[6])
     targets[:, :3, 3] *= 1.3  # what is missed by far is decided all the same
-    assert set(jaxik.solve_ik(robot, targets).reasons) <= {"solved", "limits", "out of reach"}
+    assert set(jaxik.solve_ik(robot, targets).counts()) <= {"solved", "limits", "out of reach"}

@@ -128,8 +128,8 @@ FUNCTIONS = {
     "object_clearances": (lambda q: jaxik.collision.object_clearances(PLANAR, SCENE, q), ANGLES(2)),
     "clearance of itself": (lambda q: jaxik.clearance(ARM, None, q), ANGLES(4)),
     "collides": (lambda q: jaxik.collides(ARM, SCENE, q, margin=0.2), ANGLES(4)),
-    "descend": (
-        lambda pose, q: jaxik.ik.descend(PLANAR, pose, q, POSITION, iterations=3),
+    "descend_ik": (
+        lambda pose, q: jaxik.ik.descend_ik(PLANAR, pose, q, task=POSITION, iterations=3),
         lambda u: (jaxik.forward_kinematics.__wrapped__(PLANAR, 2.0 * u[:2]), 2.0 * u[2:4]),
     ),
 }

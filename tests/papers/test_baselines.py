@@ -70,7 +70,7 @@ def test_a_target_of_the_paper_among_its_boxes():
     robot, scene = jaxik.load("chembuly9"), trellis_crop("bitter_gourd")
     targets = np.array(TRELLIS_TARGETS["bitter_gourd"][:6]) / 100.0
     others = scene.without([i for i, name in enumerate(scene.object_names) if name in {f"fruit_{k}" for k in range(1, 7)}])
-    result = jaxik.solve_ik(robot, targets, others, task=POSITION, position_tolerance=1e-9, margin=0.005)
+    result = jaxik.solve_ik(robot, targets, scene=others, task=POSITION, position_tolerance=1e-9, margin=0.005)
     pose = pinocchio(robot)
     assert result.success.all(), result.counts()
     assert max(np.linalg.norm(pose(q)[:3, 3] - p) for q, p in zip(result.q, targets, strict=True)) <= 1e-9
