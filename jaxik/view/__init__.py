@@ -1,7 +1,6 @@
 """Pictures, and a page in the browser (extra `[view]`)."""
 
-from jaxik.view.harvest_picture import plot_harvest
-from jaxik.view.harvest_plan_picture import plot_harvest_plan
+from jaxik.view.harvest_pictures import plot_harvest, plot_harvest_plan
 from jaxik.view.page import Page
 from jaxik.view.sweep_picture import plot_sweep
 from jaxik.view.torque_picture import plot_torques

@@ -27,8 +27,7 @@ from jaxik.kinematics.task import POSE, POSITION, Task
 from jaxik.reasons import Reason
 from jaxik.spatial.rotations import to_wxyz
 from jaxik.view.cloud import Cloud, store_of
-from jaxik.view.fruit_list import FruitList
-from jaxik.view.latest import Latest
+from jaxik.view.drawing import RobotDrawing, SceneDrawing
 from jaxik.view.palette import (
     BAD,
     FRUIT,
@@ -45,13 +44,11 @@ from jaxik.view.palette import (
     rgb,
     swatches,
 )
+from jaxik.view.panels import FruitList, Sliders, UncheckedList
 from jaxik.view.player import Player
-from jaxik.view.robot_drawing import RobotDrawing
-from jaxik.view.scene_drawing import SceneDrawing
-from jaxik.view.sliders import Sliders
 from jaxik.view.solids import bones, frames, scene_points
+from jaxik.view.stage import Latest
 from jaxik.view.steering import STEER, Steering, ready_posture
-from jaxik.view.unchecked_list import UncheckedList
 
 HELP = (
     "**Look:** drag to turn, right button to shift, wheel to come nearer.",

@@ -1,8 +1,10 @@
-"""The page as its parts see it: where they show a configuration, draw, and ask for what is near."""
+"""The page as its parts see it, and the queue of what they ask."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,7 +13,22 @@ from jaxik.collision.contact_report import Contact
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
-from jaxik.view.latest import Latest
+
+
+class Latest:
+    """A queue of one: what is asked while another runs waits, and gives way to what is asked later."""
+
+    def __init__(self) -> None:
+        self._guard, self._newest = threading.Lock(), deque[Callable[[], Any]](maxlen=1)
+
+    def __call__(self, work: Callable[[], Any]) -> None:
+        self._newest.append(work)
+        while self._newest and self._guard.acquire(blocking=False):  # who holds it looks again when it is done
+            try:
+                if self._newest:  # which only its holder takes
+                    self._newest.pop()()
+            finally:
+                self._guard.release()
 
 
 class Stage(Protocol):

@@ -17,18 +17,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik import costs
+from jaxik.checks.arrays import numbers
 from jaxik.collision.clearances import clearance
 from jaxik.collision.contact_report import Contact
 from jaxik.dynamics.point_force import PointForce
 from jaxik.kinematics.forward import manipulability
 from jaxik.planning import save_trajectory
+from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.reasons import Reason
 from jaxik.spmd import HostKernel
 from jaxik.teleoperation import Hand, PositionControl, Teleoperation, TeleoperationLoop, Watchdog
-from jaxik.view.game_pad import PagePad
-from jaxik.view.page_hand import PERIOD, PageHand
+from jaxik.view.hands import PERIOD, PageHand, PagePad
 from jaxik.view.palette import CARRIED, PATH, boxed, rgb
-from jaxik.view.recording import recorded
 from jaxik.view.solids import frames
 from jaxik.view.stage import Stage
 
@@ -219,3 +219,16 @@ def ready_posture(robot: Any, scene: Any, count: int = 512) -> np.ndarray:
     with jax.enable_x64(True):
         (room,) = HostKernel(judged, 1)(q)
     return np.asarray(q[int(np.argmax(room))])
+
+
+def recorded(q: Any, period: float) -> Trajectory:
+    """The trajectory through configurations (k, n) [rad, m], k >= 2, one a `period` [s]: the cubic spline over time, at rest at
+    its ends. Host."""
+    from scipy.interpolate import CubicSpline
+
+    rows = numbers("recorded: q", q)
+    if rows.ndim != 2 or len(rows) < 2:
+        raise ValueError(f"a recording of {len(rows)} samples; record for longer")
+    time = period * np.arange(len(rows))
+    found = CubicSpline(time, rows, bc_type="clamped")
+    return Trajectory(JointPath(np.diff(time), np.moveaxis(found.c, 0, 1)), time, time, np.ones_like(time))

@@ -8,11 +8,10 @@ import pytest
 import jaxik
 from jaxik.planning import load_trajectory
 from jaxik.view import Page
-from jaxik.view.game_pad import FAST, SILENT, TURNING
-from jaxik.view.page_hand import PERIOD
+from jaxik.view.hands import FAST, PERIOD, SILENT, TURNING
 from jaxik.view.palette import NEAR_LIMIT, rgb
-from jaxik.view.recording import recorded
 from jaxik.view.solids import frames
+from jaxik.view.steering import recorded
 
 
 @pytest.fixture(scope="module")

@@ -1,15 +1,67 @@
-"""A list on the page of the pairs of links that are not checked against each other: choosing one colours its two links."""
+"""Panels of the page: a slider for each joint, the fruits, and the pairs of links that are not checked."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from html import escape
 from typing import Any
 
+import numpy as np
+
 from jaxik.files.unchecked_pairs import unchecked
+from jaxik.harvesting.driver import HarvestResult
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.shapes import Unchecked
-from jaxik.view.palette import LEFT_OUT
+from jaxik.view.harvest_pictures import fate, posture
+from jaxik.view.palette import LEFT_OUT, marked
 from jaxik.view.stage import Stage
+
+
+class Sliders:
+    """They show rounded numbers; `moved(joint, value)` is told, [rad, m], when a person moves one."""
+
+    def __init__(self, gui: Any, robot: Robot, q: np.ndarray, moved: Callable[[int, float], Any]):
+        self.limits, self.moved, slides = np.array(robot.finite_limits), moved, np.array(robot.is_prismatic)
+        self._factor, self._digits = np.where(slides, 1.0, np.degrees(1.0)), np.where(slides, 3, 1).tolist()
+        self.each = []
+        for i, (name, digits) in enumerate(zip(robot.joint_names, self._digits, strict=True)):
+            low, high, value = (round(float(self._factor[i] * x), digits) for x in (*self.limits[:, i], q[i]))
+            slider = gui.add_slider(f"{name} [{'m' if slides[i] else 'deg'}]", low, high, 10.0**-digits, value)
+            slider.on_update(lambda event, i=i: self._slid(event, i))
+            self.each.append(slider)
+
+    def show(self, q: np.ndarray) -> None:
+        """Puts the sliders at q (n,) [rad, m]."""
+        for slider, value, digits in zip(self.each, self._factor * q, self._digits, strict=True):
+            if slider.value != (now := round(float(value), digits)):
+                slider.value = now
+
+    def _slid(self, event: Any, i: int) -> None:
+        if event.client is not None:  # a person, not `show`
+            self.moved(i, np.clip(self.each[i].value / self._factor[i], *self.limits[:, i]))  # the slider's ends are rounded
+
+
+class FruitList:
+    """The controls of the list. The first fruit that can be picked is shown."""
+
+    def __init__(self, page: Stage, harvest: HarvestResult):
+        gui, solved = page.server.gui, int(harvest.success.sum())
+        self.page, self.rows = page, {f"{'✓' if row.success else '✗'} {row.fruit}": row for row in harvest}
+        gui.add_markdown(f"**{page.robot.name} can pick {solved} of the {len(self.rows)} fruits.** Choose one:")
+        self.chosen, self.said = gui.add_dropdown("fruit", list(self.rows)), gui.add_html("")
+        self.chosen.on_update(lambda _: self.show())
+        self.chosen.value = next((k for k, row in self.rows.items() if row.success), next(iter(self.rows)))
+        self.show()
+
+    def show(self) -> None:
+        """The one that is chosen."""
+        row: Any = self.rows[self.chosen.value]
+        q, words = posture(row), "the best posture stays" if row.success else "no posture:"
+        more = " of all but the fruit itself." if row.success else "." if q is None else ". Shown is what that would open."
+        self.said.content = marked(row.success, row.fruit, f": {words} {fate(row)}{more}")
+        if q is not None:
+            self.page.move(q)
+
 
 NONE = "pair: none"
 WORDS = {  # what stands out first
@@ -22,7 +74,7 @@ WORDS = {  # what stands out first
     "fixed": "do not move against each other",
 }
 OPEN = 20  # rows, of which a group is closed at first if it has more, but for the first
-# A page of viser has no other way back from what it does not know than a field that it knows (`game_pad`).
+# A page of viser has no other way back from what it does not know than a field that it knows (`hands`).
 _SCRIPT = """const row = event.target.closest('[data-pair]');
 const field = [...document.querySelectorAll('input')].find(x => x.value.startsWith('pair:'));
 if (row && field) {

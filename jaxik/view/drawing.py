@@ -1,19 +1,54 @@
-"""The robot on the page: its own shapes and the volumes that are kept clear, its bones and its tip."""
+"""The robot and its surroundings on the page: shapes, volumes that are kept clear, bones, obstacles, and what is hit."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
+from jaxik.collision.contact_report import Contact
+from jaxik.collision.scene import Scene
 from jaxik.fitting.links import Shape
 from jaxik.kinematics.robot import Robot, known_parts
 from jaxik.spatial.rotations import to_wxyz
-from jaxik.view.meshes import draw_mesh, mesh_of
-from jaxik.view.palette import BAD, CHOSEN, INK, LEFT_OUT, NEAR_LIMIT, ROBOT, VOLUME, rgb
-from jaxik.view.solids import Solid, box_solids, volume_solids
-from jaxik.view.unchecked_list import left_out
+from jaxik.view.cloud import draw_points
+from jaxik.view.palette import BAD, CHOSEN, FRUIT, INK, LEAF, LEFT_OUT, NEAR_LIMIT, OBSTACLE, ROBOT, VOLUME, rgb
+from jaxik.view.panels import left_out
+from jaxik.view.solids import Solid, box_solids, scene_points, scene_solids, volume_solids
+
+MANY = 500  # solids, from which on each is drawn more coarsely
+THIN = 0.002  # [m] by which what is hit is drawn larger; triangles that are no thicker are drawn as sheets
+
+
+def draw_mesh(scene: Any, name: str, mesh: Any, colour: str, **how: Any) -> Any:
+    """A mesh of trimesh in one colour, as a node of viser's scene."""
+    corners, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    return scene.add_mesh_simple(name, corners, faces, color=rgb(colour), **how)
+
+
+def mesh_of(solids: Sequence[Solid]) -> Any:
+    """Solids as one mesh; something tiny where there are none."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=1 if len(solids) > MANY else 2)
+    sheets = [s for s in solids if len(s.corners) == 3 and s.radius <= THIN]
+    hulls = [_sheets(np.array([s.corners for s in sheets]), sheets[0].radius)] if sheets else []
+    for solid in (s for s in solids if len(s.corners) != 3 or s.radius > THIN):
+        around = (solid.corners[:, None] + solid.radius * ball.vertices).reshape(-1, 3) if solid.radius > 0.0 else solid.corners
+        lone = len(solid.corners) == 1  # and needs no hull
+        hulls.append(trimesh.Trimesh(around, ball.faces, process=False) if lone else trimesh.convex.convex_hull(around))
+    return trimesh.util.concatenate(hulls) if hulls else trimesh.creation.icosphere(subdivisions=0, radius=1e-6)
+
+
+def _sheets(triangles: np.ndarray, radius: float) -> Any:
+    """Triangles (k, 3, 3), seen from both sides, each side `radius` [m] off."""
+    import trimesh
+
+    normal = trimesh.util.unitize(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]))[:, None]
+    corners = np.concatenate([triangles + radius * normal, (triangles - radius * normal)[:, ::-1]]).reshape(-1, 3)
+    return trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+
 
 SHAPE, AROUND = 0.7, 0.4  # how opaque a shape is that is drawn with the volumes around it, and these are
 SMALLER = 0.99  # of the radius of what is its own shape and its volume, which else lie in each other
@@ -128,3 +163,57 @@ def _own(robot: Robot, meshes: Sequence[Shape]) -> list[tuple[int, Any]]:
     known = {link for link, _ in own}
     rest = [(link, solid._replace(radius=SMALLER * solid.radius)) for link, solid in box_solids(robot) if link not in known]
     return own + [(link, mesh_of([solid])) for link, solid in rest]
+
+
+NO_SCENE = "No obstacles: open this page with `--scene cucumber_row`, or a scene file of your own."
+
+
+class SceneDrawing:
+    """A scene, and a switch that hides it; `empty` if there is none."""
+
+    def __init__(self, server: Any, around: Scene, empty: bool):
+        gui, self.scene, self.hit = server.gui, server.scene, frozenset[str]()
+        root = self.scene.add_frame("/scene", show_axes=False)
+        shown = gui.add_checkbox("obstacles", True, visible=not empty)
+        shown.on_update(lambda _: setattr(root, "visible", shown.value))
+        if empty:
+            gui.add_markdown(NO_SCENE)
+        self.fruits = {fruit.name for fruit in around.marks}
+        self.points, self.solids = scene_points(around), scene_solids(around)
+        self.radius = max(float(around.points.radius), 0.004)
+        self._draw()
+
+    def _draw(self, apart: Iterable[str] = ()) -> None:
+        """Leaves as points, the rest as solids: fruits in their colour, obstacles in one; but for what is drawn apart."""
+        draw_points(self.scene, "/scene/points", self.points[0], rgb(LEAF), self.radius)
+        apart = set(apart)
+        for name, colour in (("fruits", FRUIT), ("obstacles", OBSTACLE)):
+            mine = [s for s in self.solids if (s.owner in self.fruits) == (name == "fruits") and s.owner not in apart]
+            draw_mesh(self.scene, f"/scene/{name}", mesh_of(mine), colour, visible=bool(mine))
+
+    def draw_fruits(self, names: Iterable[str]) -> dict[str, Any]:
+        """These fruits as meshes of their own, which may be moved, each with its name."""
+        solids = lambda name: [s for s in self.solids if s.owner == name]
+        draw = lambda name: draw_mesh(self.scene, f"/scene/fruit/{name}", mesh_of(solids(name)), FRUIT)
+        apart = {name: draw(name) for name in names if solids(name)}
+        self._draw(apart)
+        return apart
+
+    def draw_hit(self, hit: frozenset[str]) -> None:
+        """The objects that the robot hits, by name, over what they are drawn as else."""
+        if self.hit == hit:
+            return
+        self.hit = hit
+        points, owners = self.points
+        struck = points[np.isin(owners, list(hit))]
+        draw_points(self.scene, "/scene/hit_points", struck, rgb(BAD), 1.6 * self.radius)
+        solids = [s._replace(radius=s.radius + THIN) for s in self.solids if s.owner in hit]
+        draw_mesh(self.scene, "/scene/hit", mesh_of(solids), BAD, visible=bool(solids))
+
+    def draw_nearest(self, contacts: Sequence[Contact]) -> None:
+        """Lines between the points that are nearest to each other."""
+        ends = np.array([(c.point, c.other_point) for c in contacts]).reshape(-1, 2, 3)
+        colour = rgb(BAD if contacts and contacts[0].distance < 0.0 else INK)
+        some = len(ends) > 0
+        shown = ends if some else np.zeros((1, 2, 3))
+        self.scene.add_line_segments("/nearest", shown, colour, thickness=4, thickness_units="screen", visible=some)
