@@ -34,7 +34,7 @@ def planar() -> tuple[jaxik.Robot, jaxik.Scene, np.ndarray]:
     """Two links of 1 m, the row of stems, and the posture at the fruit that is free."""
     robot, scene = jaxik.load("planar2"), jaxik.make_scene(boxes=STEMS)
     pose = jaxik.pose([*FRUIT, 0.0])
-    in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+    in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
     return robot, scene, jaxik.solve_ik(robot, pose, scene=scene, task=in_plane, choice="clearance").q
 
 

@@ -15,7 +15,7 @@ import jaxik
 DT, DURATION = 0.04, 4.0
 START = np.radians([30.0, -30.0, -30.0, -60.0])
 OBSTACLE, ACTIVATION, STEEP = (1.0, 1.1, 0.0), 0.2, 500.0
-IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 # the text's instantaneous motion goes down 50 times the gradient whose cost weighs 500
 INSTANTANEOUS = jaxik.motions.FollowOptions("asc", DT, "euler", IN_PLANE, alpha=0.1, gain=1.0, limits=False, tolerance=0.1)
 

@@ -90,7 +90,7 @@ def kernels() -> None:
 def inverse_kinematics() -> None:
     """Seeds of one target: where they start and end, and how their errors fall."""
     robot, steps = jaxik.load("pendulum4"), 16
-    task = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+    task = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
     target = np.eye(4)
     target[:2, 3] = 1.4, 2.2
     seeds = np.random.default_rng(4).uniform(-np.pi, np.pi, (5, 4)).astype(np.float32)
@@ -259,7 +259,7 @@ def predictive() -> None:
     start = np.asarray(jaxik.forward_kinematics(arm, q))
     end = start.copy()
     end[:2, 3] = 0.5, 0.0
-    path, task = Line(start, end), jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+    path, task = Line(start, end), jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
     scene = jaxik.make_scene(points=[[1.0, 1.1, 0.0]])
     near = lambda q: 500.0 / 3.0 * jnp.maximum(0.2 - jaxik.clearance(arm, scene, q), 0.0) ** 3
     now = jaxik.follow(arm, path, 4.0, q, near, FollowOptions("asc", dt=0.01, alpha=0.1, task=task))

@@ -74,7 +74,7 @@ class DynamicsArguments(RobotArguments):
         if not np.isfinite(self.gravity).all():
             raise ValueError(f"--gravity {' '.join(map(str, self.gravity))}: finite numbers [m/s2]")
         robot = jaxik.load(self.robot, **self.loading())
-        robot = robot.with_load(self.load, np.zeros(3), np.zeros((3, 3))) if self.load else robot
+        robot = robot.with_load(self.load, com=np.zeros(3), inertia=np.zeros((3, 3))) if self.load else robot
         found = read_motion(check_ending("dynamics", self.motion), robot.joint_names)
         time = found.time
         self._doubt(robot, time, np.asarray(found.q))

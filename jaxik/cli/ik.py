@@ -77,7 +77,7 @@ class IKArguments(ShapedRobotArguments):
         free = (*self.free, *(("roll", "pitch", "yaw") if targets.ndim == 2 else ()))  # a position says nothing of rotation
         chosen = {f.name: getattr(self, f.name) for f in dataclasses.fields(jaxik.IKOptions) if hasattr(self, f.name)}
         chosen["collision"] = "constraint" if self.collision else False
-        options = jaxik.IKOptions(task=jaxik.Task.pose(free, self.axes), **chosen)
+        options = jaxik.IKOptions(task=jaxik.Task.pose(free, axes=self.axes), **chosen)
         start, console = time.perf_counter(), Console(stderr=True)
         with progress_bar(console=console) as bar, Patience(console, "these targets") as asked:
             line = bar.add_task("ik", total=len(targets))

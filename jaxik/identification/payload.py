@@ -46,7 +46,7 @@ class LoadOptions(LogOptions, who="identify_load"):
 
 
 class LoadResult(FitResult):
-    """A load as `robot.with_load(mass, com, inertia)` takes it: `mass` [kg], centre of gravity `com` (3,) [m] and `inertia`
+    """A load as `robot.with_load(mass, com=, inertia=)` takes it: `mass` [kg], centre of gravity `com` (3,) [m] and `inertia`
     (3, 3) [kg m2] about that, in the tip's axes; and their standard errors, infinite where the logs do not tell."""
 
     mass: float

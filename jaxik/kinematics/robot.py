@@ -166,7 +166,7 @@ class Robot(Constant):
         armature = np.where(np.array(rotors) > 0.0, rotors, of_file) if drives else self.armature
         return dataclasses.replace(self, drives=drives, armature=armature)
 
-    def with_load(self, mass: Any, com: Any = (0.0, 0.0, 0.0), inertia: Any = None) -> Robot:
+    def with_load(self, mass: Any, *, com: Any = (0.0, 0.0, 0.0), inertia: Any = None) -> Robot:
         """The same robot with a load at its tip: `mass` [kg], `com` (3,) [m] and `inertia` (3, 3) about it [kg m2] in the tip's
         frame; a point mass unless `inertia` is given.
 

@@ -55,7 +55,7 @@ class Task:
         check_choices("task", axes=(self.axes, Axes))
 
     @staticmethod
-    def pose(free: Sequence[str] = (), axes: str = "tool") -> Task:
+    def pose(free: Sequence[str] = (), *, axes: str = "tool") -> Task:
         """A pose, but for the components of x, y, z, roll, pitch, yaw that are `free`, along and about the `axes` of the target
         ("tool") or of the "base". Raises `ValueError` for another word."""
         names = (free,) if isinstance(free, str) else tuple(free)
@@ -66,7 +66,7 @@ class Task:
     @staticmethod
     def position() -> Task:
         """The tip's position, however it is turned."""
-        return Task.pose(("roll", "pitch", "yaw"), "base")
+        return Task.pose(("roll", "pitch", "yaw"), axes="base")
 
     @staticmethod
     def pointing(along: str = "z") -> Task:

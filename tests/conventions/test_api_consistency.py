@@ -14,7 +14,7 @@ TARGETS = np.stack([jaxik.forward_kinematics(ARM, np.array([0.3, 0.4])), np.full
 
 
 def test_results_are_trees_with_their_reasons_in_words():
-    found = jaxik.solve_ik(ARM, TARGETS, task=jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base"))
+    found = jaxik.solve_ik(ARM, TARGETS, task=jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base"))
     assert found.why.tolist() == ["solved", "invalid: its position holds NaN or infinity"]
     assert found.counts() == {
         "solved": 1,
@@ -27,7 +27,7 @@ def test_results_are_trees_with_their_reasons_in_words():
 
 def test_a_motion_says_its_reason():
     path = jaxik.motions.Line(*(jaxik.forward_kinematics(ARM, np.array(q)) for q in ([0.3, 0.4], [0.4, 0.5])))
-    in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+    in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
     still = jaxik.follow(ARM, path, 0.1, [0.3, 0.4], dt=0.05, task=in_plane)
     same = jaxik.follow(ARM, path, 0.1, [0.3, 0.4], options=jaxik.motions.FollowOptions(dt=0.05, task=in_plane))
     assert still.reasons == Reason(int(still.reason)).text == same.reasons

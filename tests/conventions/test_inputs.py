@@ -132,7 +132,7 @@ def test_options_that_are_numpy_s():
     assert dataclasses.replace(options, max_seeds=3).max_seeds == 3 and options.task.bound == (True,) * 3 + (False,) * 3
 
 
-XY = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+XY = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 LINE = jaxik.motions.Line(np.eye(4), np.eye(4))
 MIRRORED, SCALED = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([2.0, 2.0, 2.0, 1.0])
 HORIZON = jaxik.motions.Horizon(0.1, 2, task=XY)

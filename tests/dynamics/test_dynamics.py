@@ -149,13 +149,13 @@ def test_a_load_is_a_wrench():
     point = (kinematics.forward_kinematics(ARM, q) @ jnp.array([*tip, 1.0]))[:3]
     weight = ARM.world_T_base[:3, :3].T @ [0.0, 0.0, -9.81 * 3.0]
     pull = dynamics.wrench_on(ARM, q, "tool0", weight, point)
-    heavy = dynamics.gravity_torque(ARM.with_load(3.0, tip), q)
+    heavy = dynamics.gravity_torque(ARM.with_load(3.0, com=tip), q)
     assert np.abs(heavy - dynamics.inverse_dynamics(ARM, q, 0 * q, 0 * q, wrenches=pull)).max() <= 1e-12 * np.abs(heavy).max()
     assert not np.any(dynamics.wrench_on(ARM, q, "base_link", weight, point))
-    slope = jax.jvp(lambda mass: dynamics.gravity_torque(ARM.with_load(mass, tip), q), (3.0,), (1.0,))[1]
+    slope = jax.jvp(lambda mass: dynamics.gravity_torque(ARM.with_load(mass, com=tip), q), (3.0,), (1.0,))[1]
     assert np.abs(3.0 * slope - heavy + dynamics.gravity_torque(ARM, q)).max() <= 1e-12 * np.abs(heavy).max()
     apart = 2.0 * (tip @ tip * np.eye(3) - np.outer(tip, tip))
-    two, one = ARM.with_load(1.0, tip).with_load(1.0, -tip), ARM.with_load(2.0, inertia=apart)
+    two, one = ARM.with_load(1.0, com=tip).with_load(1.0, com=-tip), ARM.with_load(2.0, inertia=apart)
     assert np.allclose(dynamics.mass_matrix(two, q), dynamics.mass_matrix(one, q), atol=1e-12)
 
 
@@ -201,7 +201,7 @@ REFUSED = {
     "parameters of shape (6,); allowed: (60,)": lambda q: ARM.with_parameters(q),
     "p6r has no bodies, which a load": lambda q: jaxik.load("p6r").with_load(1.0),
     "the load has a mass of -2 kg; write a mass >= 0": lambda q: ARM.with_load(-2.0),
-    "com of shape (2,); allowed: (3,)": lambda q: ARM.with_load(2.0, (0.1, 0.2)),
+    "com of shape (2,); allowed: (3,)": lambda q: ARM.with_load(2.0, com=(0.1, 0.2)),
     "5 bodies; ur5 has 6 joints, write one": lambda q: dynamics.mass_matrix(dataclasses.replace(ARM, bodies=ARM.bodies[1:]), q),
     "armature of shape (2,); allowed: (6,)": lambda q: dynamics.mass_matrix(dataclasses.replace(ARM, armature=np.zeros(2)), q),
     "inertia of shape (6,); allowed: (3, 3)": lambda q: dynamics.Body(np.ones(()), np.zeros(3), np.zeros(6)),

@@ -59,8 +59,8 @@ def test_against_pinocchio(logs):
     assert abs(found.mass - MASS) <= min(0.02, 4.0 * found.mass_std)
     assert np.all(np.abs(found.com - COM) <= np.minimum(2e-3, 4.0 * found.com_std))
     assert np.all(np.abs(found.inertia - TENSOR) <= 4.0 * found.inertia_std) and found.inertia_std.max() < 2e-3
-    carried = WRIST.with_load(found.mass, found.com, found.inertia)
-    exact = WRIST.with_load(MASS, COM, TENSOR)
+    carried = WRIST.with_load(found.mass, com=found.com, inertia=found.inertia)
+    exact = WRIST.with_load(MASS, com=COM, inertia=TENSOR)
     q = motion()[0][7]
     np.testing.assert_allclose(jaxik.dynamics.gravity_torque(carried, q), jaxik.dynamics.gravity_torque(exact, q), atol=0.1)
     assert f"mass {found.mass:.5g} +- {found.mass_std:.2g} kg" in repr(found)
@@ -77,7 +77,7 @@ def test_exact_torques_are_exact():
     found = identify_load(WRIST, poses, slowest=0.0)
     assert found.success and abs(found.mass - MASS) <= 1e-4 and np.abs(found.com - COM).max() <= 1e-4
     assert np.isinf(found.inertia_std).all() and np.isfinite(found.com_std).all()
-    body = WRIST.with_load(found.mass, found.com, found.inertia)
+    body = WRIST.with_load(found.mass, com=found.com, inertia=found.inertia)
     assert np.linalg.eigvalsh(pseudo_inertias(np.asarray(body.parameters))).min() > 0.0
 
 
@@ -91,7 +91,7 @@ def test_of_a_simulated_arm():
     plan = jaxik.planning.quintic([ways[0], ways[1], ways[2]], velocity=1.0, acceleration=3.0)
     sensors = jaxik.estimation.Instruments(current_noise=0.01)
     logs = []
-    for each in (arm.with_load(MASS, COM, TENSOR), arm):
+    for each in (arm.with_load(MASS, com=COM, inertia=TENSOR), arm):
         log = jaxik.estimation.play(each, plan, model=model, instruments=sensors, dt=2e-3)
         logs.append(Motion(log.q, log.qdot, np.gradient(log.qdot, log.t, axis=0), current=log.current))
     found = identify_load(model, *logs, slowest=0.1)

@@ -281,7 +281,7 @@ def test_an_empty_batch(panda):
 def test_tolerance_of_each_target():
     """A position 4 mm out of reach is an answer to whoever allows the miss."""
     arm = jaxik.load("planar2")  # two links of one metre
-    in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+    in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
     result = jaxik.solve_ik(arm, [[2.004, 0.0, 0.0]] * 3, task=in_plane, position_tolerance=[1e-3, 5e-3, 0.02])
     assert list(result.success) == [False, True, True]
     assert np.all(result.position_error >= 0.004 - SLACK) and np.all(result.position_error[1:] <= [5e-3, 0.02])
@@ -642,7 +642,7 @@ def test_a_free_branch_that_few_searches_land_on_is_found():
 
 @pytest.mark.parametrize("collision", ["constraint", "penalty"])
 def test_both_forms_of_collision_find_what_is_free(collision):
-    robot, in_plane = jaxik.load("pendulum4"), jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+    robot, in_plane = jaxik.load("pendulum4"), jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
     targets = reachable(robot, 60, seed=19)
     middle = (robot.world_T_base @ targets[0])[:3, 3]
     scene = jaxik.make_scene(spheres=[[*middle, 0.3]])
@@ -688,7 +688,7 @@ def test_a_descent_may_be_traced(panda):
 def test_a_scene_asks_nothing_of_what_none_collides_with():
     """As many joints as the task binds, and no posture that collides: there is no branch to hop to from nowhere."""
     arm = dataclasses.replace(jaxik.load("planar2"), lower=np.array([-0.5, 0.2]), upper=np.array([0.5, 1.0]))
-    in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+    in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
     beyond = np.asarray(jaxik.forward_kinematics(arm, np.array([2.0, 0.5])))
     found = jaxik.solve_ik(arm, np.stack([beyond, beyond]), scene=jaxik.make_scene(), task=in_plane)
     assert found.counts() == {"limits": 2}

@@ -59,7 +59,7 @@ def derivative(function, by=jax.jacfwd):
     return both
 
 
-IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxik
 
-IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 
 
 def moved(robot, count, position, rotation, task):

@@ -31,7 +31,7 @@ DRIVEN = jaxik.load("crops_v2").part(1, 3)
 SCENE = jaxik.make_scene(
     points=[[1.2, 0.9, 0.1], [-0.6, 1.5, 0.0]], point_radius=0.02, capsules=[[2.5, 0.0, -1.0, 2.5, 0.0, 1.0, 0.1]]
 )
-POSITION = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+POSITION = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 
 
 def _longer(q, extra):

@@ -17,7 +17,7 @@ from jaxik.motions.path import Line
 from jaxik.motions.predictive import Horizon, quadratic_cost
 from jaxik.reasons import Reason
 
-IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
 
 
@@ -192,7 +192,7 @@ def test_a_path_that_begins_elsewhere_is_told():
     start[0, 3] -= 0.05
     end = start.copy()
     end[0, 3] -= 0.1
-    line, in_plane = jaxik.motions.Line(start, end), jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+    line, in_plane = jaxik.motions.Line(start, end), jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
     with pytest.warns(UserWarning, match="begins 0.05 m or rad from the tip"):
         moved = jaxik.follow(arm, line, 1.0, q, dt=0.1, task=in_plane)
     assert not moved.success and moved.sample == 0

@@ -20,7 +20,7 @@ from jaxik.motions.predictive import Horizon, energy_cost, future, multistart, o
 from jaxik.optimise import ocp
 from jaxik.optimise.descent import QUASI_NEWTON, Descent
 
-IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
 OBSTACLE, ACTIVATION = (1.0, 1.1, 0.0), 0.2
 
@@ -448,7 +448,9 @@ def test_multistart_puts_what_is_solved_first():
     start = np.array([0.3, 0.9])
     begin = np.asarray(jaxik.forward_kinematics(robot, start))
     path = Line(begin, begin - 0.3 * np.outer(np.eye(4)[0], np.eye(4)[3]))
-    horizon = Horizon(0.05, 20, task=jaxik.Task.pose(("y", "z", "roll", "pitch", "yaw"), "base"), descend=Descent(iterations=1))
+    horizon = Horizon(
+        0.05, 20, task=jaxik.Task.pose(("y", "z", "roll", "pitch", "yaw"), axes="base"), descend=Descent(iterations=1)
+    )
     found = multistart(robot, path, 1.0, start, quadratic_cost(lambda q: 9.0 * (q[1] - 3.0) ** 2), horizon, 16, 4.0)
     assert 0 < found.success.sum() < 16 and np.all(np.diff(found.success.astype(int)) <= 0)
     assert found.total[~found.success].min() < found.total[0]

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 import jaxik
 from jaxik.motions import Horizon, Line, predict, quadratic_cost
 
-IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
 
 
@@ -53,7 +53,7 @@ def test_the_reference_knows_other_costs_and_says_what_became_of_the_motion():
     start = np.array([0.3, 0.9])
     begin = np.asarray(jaxik.forward_kinematics(robot, start))
     path = Line(begin, begin + 0.3 * np.outer(np.eye(4)[0], np.eye(4)[3]))
-    horizon = Horizon(0.01, 20, "velocity", task=jaxik.Task.pose(("y", "z", "roll", "pitch", "yaw"), "base"))
+    horizon = Horizon(0.01, 20, "velocity", task=jaxik.Task.pose(("y", "z", "roll", "pitch", "yaw"), axes="base"))
     steep = lambda q, qdot, w, t: jnp.sum((q - 1.0) ** 2) + jnp.sum(qdot**2) + jnp.sum(w**2) + 5.0 * jnp.sum(w**4)
     system, world, z = _System(robot, steep, horizon), (path, 1.0), np.array([0.4, 0.8, 2.0, -3.0])
     w, left = jax.jit(lambda z: system.input(world, 0.3, z))(z)

@@ -14,7 +14,7 @@ from jaxik.motions import Horizon, Line, predict, quadratic_cost
 from jaxik.motions.predictive import future, objective, problem
 from jaxik.optimise import QUASI_NEWTON
 
-IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
 
 

@@ -76,7 +76,7 @@ def test_tasks_in_words():
     assert Task.pose() == Task() and Task.pose("yaw") == Task.pointing() == Task((True,) * 5 + (False,))
     assert Task.pointing("x") == Task((True, True, True, False, True, True))
     assert Task.position() == Task((True,) * 3 + (False,) * 3, "base")
-    assert Task.pose(("x", "roll"), "base") == Task((False, True, True, False, True, True), "base")
+    assert Task.pose(("x", "roll"), axes="base") == Task((False, True, True, False, True, True), "base")
     for wrong in (lambda: Task.pose(("pan",)), lambda: Task.pointing("w"), lambda: Task.pose(jaxik.kinematics.task.COMPONENTS)):
         with pytest.raises(ValueError, match="task: "):
             wrong()

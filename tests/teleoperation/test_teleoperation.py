@@ -35,7 +35,7 @@ from jaxik.teleoperation.passivity import silence
 
 DT = 1e-3
 ARM, FOUR, NINE = jaxik.load("planar2"), jaxik.load("pendulum4"), jaxik.load("crops_v2")
-XY = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+XY = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 Q = np.array([0.4, 1.1])
 MID = np.array([0.5, 0.0, 0.6, 1.4, -0.5, 0.1, 0.4, 0.6, 0.1])
 

@@ -24,7 +24,7 @@ from jaxik.touch import (
 )
 
 ARM = jaxik.load("pendulum4")
-TASK = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+TASK = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 Q = np.radians([30.0, -30.0, -30.0, -60.0])
 HERE = np.asarray(jaxik.forward_kinematics(ARM, Q))
 PATH = Line(HERE, HERE + np.array([[0, 0, 0, 0.1], [0, 0, 0, -0.05], [0, 0, 0, 0], [0, 0, 0, 0]]))
