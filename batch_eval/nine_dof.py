@@ -1,6 +1,6 @@
 """The 9-DOF paper redone: `python batch_eval/nine_dof.py` prints its table 4 beside ours and writes `nine_dof.json`.
 
-Every target of its text is reached in a generated crop (`jaxik.harvesting.crop`; the paper's crops are not printed), position
+Every target of its text is reached in a generated crop (`papers/trellises.py`; the paper's crops are not printed), position
 only, since its orientations follow no convention that could be found. The paper states an error of 1e-7 cm and 54 s a target.
 """
 
@@ -17,10 +17,10 @@ import numpy as np
 from panda import pose_of
 from papers.baselines import global_search, newton_ik
 from papers.harvest_costs import box_penalty, link_circles
+from papers.trellises import TRELLIS_TARGETS, trellis_crop
 from race import machine
 
 import jaxik
-from jaxik.harvesting.crop import TRELLIS_TARGETS, trellis_crop
 
 PAPER_SECONDS = 54.0
 TASK = jaxik.Task.position()

@@ -167,10 +167,9 @@ def _targets(table: Table, folder: Path, robots: list[Robot], seed: int, grasp: 
     if kind == "file":
         targets = _given_targets(row, folder, frame, grasp)
     elif kind == "crop":
-        crop = row.text("crop", "cucumber_row", sources.CROPS)
         if frame != "world":
             raise row.fail(f"frame = '{frame}': a crop stands in the world", "leave it out")
-        targets = sources.from_crops(crop, row.count("crops", 1), row.count("angles", 24), seed, grasp)
+        targets = sources.from_crops(row.count("crops", 1), row.count("angles", 24), seed, grasp)
     else:
         turned = _rotations(row, grasp)
         if kind == "grid":

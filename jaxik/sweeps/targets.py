@@ -13,14 +13,13 @@ import numpy as np
 
 from jaxik.collision.scene import Scene
 from jaxik.files.targets import as_frames
-from jaxik.harvesting.crop import make_row, trellis_crop
+from jaxik.harvesting.crop import make_row
 from jaxik.kinematics.reach_bound import reach_bound
 from jaxik.kinematics.robot import Robot
 from jaxik.reach.grasp import Grasp, across
 from jaxik.spatial.rotations import to_wxyz
 
 KINDS = ("grid", "voxels", "file", "crop")
-CROPS = ("cucumber_row", "bitter_gourd", "tindora", "guava")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -160,10 +159,9 @@ def voxels(robots: list[Robot], size: float) -> tuple[np.ndarray, ...]:
     return tuple((np.arange(a, b) + 0.5) * size for a, b in zip(first, last, strict=True))
 
 
-def from_crops(kind: str, count: int, angles: int, seed: int, grasp: Grasp) -> Targets:
-    """All fruits of `count` crops of one kind, each approached from `angles` directions around its axis."""
-    make = make_row if kind == "cucumber_row" else lambda seed: trellis_crop(kind, seed)
-    crops = [make(seed + number) for number in range(count)]
+def from_crops(count: int, angles: int, seed: int, grasp: Grasp) -> Targets:
+    """All fruits of `count` cucumber rows, each approached from `angles` directions around its axis."""
+    crops = [make_row(seed + number) for number in range(count)]
     picked = [(scene, fruit) for scene in crops for fruit in scene.marks]
     poses = np.concatenate([grasp.frames(fruit, angles) for _, fruit in picked])
     scenes = tuple(scene.without([fruit.name]) for scene, fruit in picked)  # the fruit that is picked is no obstacle

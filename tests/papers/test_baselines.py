@@ -7,11 +7,11 @@ import pytest
 from papers.baselines import global_search, newton_ik
 from papers.harvest_costs import box_penalty
 from papers.newton import damped_least_squares, newton_raphson
+from papers.trellises import TRELLIS_TARGETS, trellis_crop
 from robots import bare, pinocchio, pose_errors
 from scipy.optimize import root
 
 import jaxik
-from jaxik.harvesting.crop import TRELLIS_TARGETS, trellis_crop
 
 POSITION = jaxik.Task.position()
 
