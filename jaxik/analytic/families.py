@@ -156,7 +156,7 @@ class AnySix:
 
     @functools.cached_property
     def arm(self) -> GeneralArm:
-        return general_arm(self.axes)  # takes seconds, which a robot that is only asked what it is given need not spend
+        return general_arm(self.axes)  # work that `redundancy` does not need
 
     def half_branches(self, target: Frame, given: list[Scalar], eps: float, signs: Signs = ALL) -> list[HalfBranch]:
         dtype = jnp.result_type(*target.rotation.entries)
@@ -229,13 +229,8 @@ def closed_form_obstacle(robot: Robot) -> str:
 MOST_SCANNED = 2  # given values: a grid over three is larger than a search
 
 
-def scannable(robot: Robot) -> bool:
-    """Whether the robot has a closed form that is given few enough values to seek postures over a grid of them."""
-    return not scan_obstacle(robot)
-
-
 def scan_obstacle(robot: Robot) -> str:
-    """Returns why the robot is not `scannable`, or an empty string."""
+    """Returns why postures cannot be sought over a grid of what the closed form is given, or an empty string."""
     if reason := closed_form_obstacle(robot):
         return reason
     names = redundancy(robot).names

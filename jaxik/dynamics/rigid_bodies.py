@@ -83,7 +83,7 @@ class Moments(NamedTuple):
         spin = omega * add(add(sx.x, sy.y), sz.z) - self.second @ omega
         return velocity * self.mass + omega.cross(h), h.cross(velocity) + spin
 
-    def inertial(self, motion: Motion) -> tuple[Vec3, Vec3]:
+    def inertial(self, motion: FrameMotion) -> tuple[Vec3, Vec3]:
         """Returns the force, and the torque about the origin, that the body's motion takes."""
         x, y, z = motion.spin @ self.second
         a, turning = motion.acceleration, Vec3(sub(z.y, y.z), sub(x.z, z.x), sub(y.x, x.y))
@@ -118,7 +118,7 @@ def placed(robot: Robot, q: Sequence[Scalar], dtype: Any) -> list[Placed]:
     return joints
 
 
-class Motion(NamedTuple):
+class FrameMotion(NamedTuple):
     """The motion of a frame in its own axes: its origin's acceleration less gravity's, and `spin`, `[alpha x] + [omega x][omega
     x]`, which times a point is its acceleration around the origin."""
 
@@ -126,7 +126,7 @@ class Motion(NamedTuple):
     spin: Rot3
 
     @staticmethod
-    def of(omega: Vec3, alpha: Vec3, acceleration: Vec3) -> Motion:
+    def of(omega: Vec3, alpha: Vec3, acceleration: Vec3) -> FrameMotion:
         """Makes a motion of angular velocity and acceleration [rad/s, rad/s2], and the origin's acceleration [m/s2]."""
         x, y, z = omega
         xx, yy, zz, xy, xz, yz = mul(x, x), mul(y, y), mul(z, z), mul(x, y), mul(x, z), mul(y, z)
@@ -135,7 +135,7 @@ class Motion(NamedTuple):
             Vec3(add(xy, alpha.z), sub(0.0, add(xx, zz)), sub(yz, alpha.x)),
             Vec3(sub(xz, alpha.y), add(yz, alpha.x), sub(0.0, add(xx, yy))),
         )
-        return Motion(acceleration, spin)
+        return FrameMotion(acceleration, spin)
 
     def work(self, velocity: Vec3, omega: Vec3) -> tuple[Scalar, ...]:
         """Returns the power that a body's motion takes at these velocities of its frame, by each of the body's ten parameters:
@@ -150,10 +150,10 @@ class Motion(NamedTuple):
         return velocity.dot(a), *first, sub(half, xx), off(xy, yx), sub(half, yy), off(xz, zx), off(yz, zy), sub(half, zz)
 
 
-def motions(joints: Sequence[Placed], qdot: Sequence[Scalar], qddot: Sequence[Scalar], gravity: Vec3) -> list[Motion]:
+def motions(joints: Sequence[Placed], qdot: Sequence[Scalar], qddot: Sequence[Scalar], gravity: Vec3) -> list[FrameMotion]:
     """Returns the motion of each joint's frame; `gravity` is in base axes."""
     omega, alpha, found = ZERO, ZERO, []
-    before = Motion.of(ZERO, ZERO, -gravity)
+    before = FrameMotion.of(ZERO, ZERO, -gravity)
     for joint, rate, more in zip(joints, qdot, qddot, strict=True):
         acceleration = joint.into(before.acceleration + before.spin @ joint.origin)
         omega, alpha, velocity = joint.into(omega), joint.into(alpha), joint.axis * rate
@@ -162,6 +162,6 @@ def motions(joints: Sequence[Placed], qdot: Sequence[Scalar], qddot: Sequence[Sc
         else:
             alpha = alpha + omega.cross(velocity) + joint.axis * more
             omega = omega + velocity
-        before = Motion.of(omega, alpha, acceleration)
+        before = FrameMotion.of(omega, alpha, acceleration)
         found.append(before)
     return found

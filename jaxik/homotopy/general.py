@@ -96,11 +96,11 @@ class AllPostures(NamedTuple):
 def all_postures(robot: Robot, pose: Float[Array, "4 4"]) -> AllPostures:
     """Returns all postures of six revolute joints with `base_T_tip = pose` (4, 4) [m], whatever their axes are. Traced.
 
-    The first call for a robot takes some seconds on the host. The derivative by the pose is that of the implicit function
-    theorem, `dq = J^-1 (dv, dw)`; bounded where J is singular, and 0 where there is no posture. Poses are met to 1e-13 in
-    float64, next to singular postures to 4e-11 (lengths in that of the robot). Where the pose lets a whole curve of postures
-    move, some of these are given. In float32 poses are met to 1e-6, and up to a tenth of the results are not called `complete`
-    though nothing is missing.
+    The first call for a robot takes some tenths of a second more, on the host. The derivative by the pose is that of the
+    implicit function theorem, `dq = J^-1 (dv, dw)`; bounded where J is singular, and 0 where there is no posture. Poses are met
+    to 1e-13 in float64, next to singular postures to 4e-11 (lengths in that of the robot). Where the pose lets a whole curve of
+    postures move, some of these are given. In float32 poses are met to 1e-6, and up to a tenth of the results are not called
+    `complete` though nothing is missing.
 
     Raises `ValueError` for another shape, a traced robot, another number of joints or other kinds, and for joints that cannot
     move the tip in all six directions. Source: Raghavan and Roth 1990; Sommese and Wampler 2005.

@@ -16,7 +16,7 @@ import itertools
 
 import numpy as np
 
-from jaxik.analytic.families import AnySix, any_solver_of, redundancy, scannable, solver_of
+from jaxik.analytic.families import AnySix, any_solver_of, redundancy, scan_obstacle, solver_of
 from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, first_branches
 from jaxik.homotopy.general import GeneralArm, general_kernel
 from jaxik.ik import seeds
@@ -54,7 +54,7 @@ def enumerable(problem: Problem) -> bool:
         return False
     if not wanted and not all(options.task.bound):
         return False
-    if not wanted and not scannable(robot):
+    if not wanted and scan_obstacle(robot):
         return not problem.first_will_do and not options.locked and _without_closed_form(robot) is not None
     nearest = problem.choice == "closest" or (problem.choice == "comfort" and problem.reference is not None)
     if (nearest and robot.num_joints > 6) or (problem.first_will_do and robot.num_joints > 7 and not wanted):

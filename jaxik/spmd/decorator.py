@@ -58,7 +58,7 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
 
     @functools.wraps(function)
     def call(*args: Any, **named: Any) -> Any:
-        if not named.keys() <= keywords:
+        if named and not named.keys() <= keywords:
             args, named = _by_position(function, args, named, keywords)
         if jax.config.values["jax_disable_jit"]:
             return function(*args, **named)

@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 import jaxik
-from jaxik.analytic.families import scannable
+from jaxik.analytic.families import scan_obstacle
 from jaxik.collision.scene import Scene
 from jaxik.files.robot_toml import Table, read_toml
 from jaxik.ik.options import IKOptions
@@ -109,7 +109,7 @@ class Study:
 
     def method(self, robot: Robot) -> str:
         """How a robot's targets are answered: "closed form" or "search"."""
-        return "closed form" if scannable(robot) and not self.targets.free_rotation else "search"
+        return "search" if scan_obstacle(robot) or self.targets.free_rotation else "closed form"
 
 
 def _digest(scene: Scene) -> str:

@@ -9,7 +9,7 @@ from random_arms import FAMILIES, apart, assembled, exact_branches_of_eaik, fram
 from robots import FOLDER, ROBOTS
 
 import jaxik
-from jaxik.analytic.families import scannable, solver_of
+from jaxik.analytic.families import scan_obstacle, solver_of
 from jaxik.analytic.solutions import closed_forms
 from jaxik.kinematics.forward import joint_frames
 from jaxik.spmd.batch import in_blocks
@@ -98,7 +98,7 @@ def test_an_arm_that_is_nearly_of_a_family():
 def test_joints_of_no_family_have_all_their_postures_too():
     """Jaco's kin, by paths of complex solutions, with the first joint given."""
     robot = random_arm(4, "no family")
-    assert "rad from parallel" in jaxik.analytic.redundancy(robot).why and not scannable(robot)
+    assert "rad from parallel" in jaxik.analytic.redundancy(robot).why and scan_obstacle(robot)
     assert jaxik.analytic.redundancy(robot).names == ("j0",)
     q = np.random.default_rng(3).uniform(-2.0, 2.0, (20, 7))
     poses = poses_of(robot, q)
