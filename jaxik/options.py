@@ -80,7 +80,7 @@ def count(
             return value
         whole = as_count(f"{who}: {name}", value, or_else, least)
         if whole > most:
-            raise ValueError(f"{who}: {name} is {whole}; at most {most:g}")
+            raise ValueError(f"{who}: {name} is {whole}; at most {most}")
         return whole
 
     return _declared(default, "", words, kept, also)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import jaxik
+from jaxik.cli.flags import flags, given
 from jaxik.cli.progress import progress_bar
 from jaxik.cli.results import check_writable, naming, print_table, write_csv
 from jaxik.cli.robot_arguments import ShapedRobotArguments
@@ -20,45 +21,25 @@ from jaxik.harvesting.harvest_plan import HarvestPlan, HarvestPlanOptions, Leave
 from jaxik.harvesting.harvest_planner import plan_harvest
 from jaxik.planning.trajectory_files import ENDINGS
 
-HARVEST, PLAN = HarvestOptions(), HarvestPlanOptions()
-OF_HARVEST = "angles", "slides", "margin", "clearance_weight", "freedom_weight", "reach"
+HARVEST = flags(HarvestOptions, angles=int, slides=int, margin=float, clearance_weight=float, freedom_weight=float, reach=float)
+MOTIONS = flags(HarvestPlanOptions, order=Order, leaves=Leaves, approach=float, candidates=int)
 OF_MOTIONS = "order", "home", "place", "leaves", "approach", "candidates", "dt"
 
 
 @dataclasses.dataclass(kw_only=True)
-class HarvestArguments(ShapedRobotArguments):
+class HarvestArguments(HARVEST, MOTIONS, ShapedRobotArguments):
     """The best collision-free posture for every fruit of a scene, as a table, a file and a picture; and the motions."""
 
     robot: str = "p6r"
     """A shipped model or a robot file (.urdf, .xml, .toml)."""
     scene: str = "cucumber_row"
     """A shipped scene or a scene file (.toml, or labelled points as .csv or .ply)."""
-    angles: int = HARVEST.angles
-    """Approach angles about the fruit."""
-    slides: int = HARVEST.slides
-    """Positions of each leading joint."""
-    margin: float = HARVEST.margin
-    """Least clearance [m], of the motions, too."""
-    clearance_weight: float = HARVEST.clearance_weight
-    """What clearance is worth in a posture's score."""
-    freedom_weight: float = HARVEST.freedom_weight
-    """What the freedom of the least free joint is worth."""
-    reach: float = HARVEST.reach
-    """Clearance beyond which more is worth nothing [m]."""
     motions: bool = False
-    """Plan the motions, too, that pick one fruit after another; what follows says how."""
-    order: Order = PLAN.order
-    """By time, or from one end of the row to the other."""
+    """Plan the motions, too, that pick one fruit after another: `order`, `leaves`, `approach`, `candidates` and the rest."""
     home: tuple[float, ...] = ()
     """The joints' values where the motions begin and end [rad, m]; 0 unless given."""
     place: tuple[float, ...] = ()
     """Those where fruits are let go, of one place or of several, one after another; where a retreat ends unless given."""
-    leaves: Leaves = PLAN.leaves
-    """Whether what is removable is an obstacle, may be touched where there is no other way, or is none."""
-    approach: float = PLAN.approach
-    """Length of the straight way to a fruit and back [m]."""
-    candidates: int = PLAN.candidates
-    """Postures a fruit that the order may choose from."""
     dt: float = 0.01
     """Between samples of the motions' files [s]."""
     out: Path = Path("harvest")
@@ -68,21 +49,20 @@ class HarvestArguments(ShapedRobotArguments):
         """Load, harvest with a progress bar, write, and end with one line of counts and times."""
         if self.angles < 1 or self.slides < 1:
             raise ValueError(f"--angles {self.angles} --slides {self.slides}: both are at least 1")
-        given = [f"--{name}" for name in OF_MOTIONS if getattr(self, name) != getattr(type(self), name)]
-        if given and not self.motions:
-            raise ValueError(f"{', '.join(given)}: of motions; add --motions")
+        used = [f"--{name}" for name in OF_MOTIONS if getattr(self, name) != getattr(type(self), name)]
+        if used and not self.motions:
+            raise ValueError(f"{', '.join(used)}: of motions; add --motions")
         check_writable(self.out, folder=True)
         robot = jaxik.load(self.robot, **self.loading())
         scene = jaxik.load_scene(self.scene)
         how = self.plan_options(robot.num_joints)
-        options = {name: getattr(self, name) for name in OF_HARVEST}
         with progress_bar() as bar:
 
             def shown(words: str) -> Callable[[int, int], None]:
                 task = bar.add_task(words, total=len(scene.marks))
                 return lambda done, total: bar.update(task, completed=done, total=total)
 
-            result = jaxik.harvest(robot, scene, progress=shown("harvest"), **options)
+            result = jaxik.harvest(robot, scene, progress=shown("harvest"), **given(self, HarvestOptions))
             plan = plan_harvest(result, options=how, progress=shown("motions")) if self.motions else None
         _print_table(result)
         if plan is not None:
@@ -101,9 +81,8 @@ class HarvestArguments(ShapedRobotArguments):
                 raise ValueError(
                     f"--{name}: {count} numbers; allowed: {joints}{' or a multiple of it' if name == 'place' else ''}"
                 )
-        given = {name: getattr(self, name) for name in ("order", "leaves", "approach", "candidates", "margin")}
-        place = np.reshape(self.place, (-1, joints)) if self.place else None
-        return dataclasses.replace(PLAN, home=self.home or None, place=place, **given)
+        places = {"home": self.home or None, "place": np.reshape(self.place, (-1, joints)) if self.place else None}
+        return HarvestPlanOptions(**given(self, HarvestPlanOptions) | places)
 
 
 def _print_cycles(plan: HarvestPlan) -> None:

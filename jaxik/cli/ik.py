@@ -15,6 +15,7 @@ import tyro
 import jaxik
 from jaxik.checks.optional_modules import optional
 from jaxik.checks.options import check_seed
+from jaxik.cli.flags import flags, given
 from jaxik.cli.interruption import STOPPED, Patience
 from jaxik.cli.progress import progress_bar
 from jaxik.cli.results import check_writable, offenders, write_csv, writing
@@ -28,8 +29,19 @@ AT_ONCE = 1024  # targets, between which Ctrl-C is heard
 SHOWN = 5  # invalid targets of which it is said why
 
 
+FLAGS = flags(
+    jaxik.IKOptions,
+    margin=float,
+    position_tolerance=float,
+    rotation_tolerance=float,
+    choice=Literal["auto", "first", "clearance", "manipulability", "freedom", "comfort"],
+    solutions=int | Literal["all"],
+    max_seeds=int,
+)
+
+
 @dataclasses.dataclass(kw_only=True)
-class IKArguments(ShapedRobotArguments):
+class IKArguments(FLAGS, ShapedRobotArguments):
     """A configuration for every target of a file, or the reason why there is none."""
 
     robot: tyro.conf.Positional[str]
@@ -40,22 +52,10 @@ class IKArguments(ShapedRobotArguments):
     """A shipped scene or a scene file: obstacles to keep clear of; without one, the robot keeps clear of itself."""
     collision: bool = True
     """Keep clear of the scene and of the robot itself; --no-collision asks for kinematics alone."""
-    margin: float = 0.0
-    """Least clearance [m]."""
     free: tuple[Literal["x", "y", "z", "roll", "pitch", "yaw"], ...] = ()
     """Components that a target leaves free."""
     axes: Literal["tool", "base"] = "tool"
     """Along and about whose axes they are counted: the target's own ("tool"), or the base's."""
-    position_tolerance: float = 1e-6
-    """Largest error of an answer [m]."""
-    rotation_tolerance: float = 1e-6
-    """Largest error of an answer [rad]."""
-    choice: Literal["first", "clearance", "manipulability", "freedom", "comfort"] = "first"
-    """Which of several answers is taken."""
-    solutions: int | Literal["all"] = 1
-    """So many different answers of each target are written, best first, or all that are found."""
-    max_seeds: int = 128
-    """Seeds that a target gets before it is given up."""
     seed: int = 0
     """Another number, another (deterministic) search."""
     out: Path = Path("ik.npz")
@@ -75,7 +75,7 @@ class IKArguments(ShapedRobotArguments):
         scene = None if self.scene is None else jaxik.load_scene(self.scene)
         targets = jaxik.load_targets(self.targets)
         free = (*self.free, *(("roll", "pitch", "yaw") if targets.ndim == 2 else ()))  # a position says nothing of rotation
-        chosen = {f.name: getattr(self, f.name) for f in dataclasses.fields(jaxik.IKOptions) if hasattr(self, f.name)}
+        chosen = given(self, jaxik.IKOptions)
         chosen["collision"] = "constraint" if self.collision else False
         options = jaxik.IKOptions(task=jaxik.Task.pose(free, axes=self.axes), **chosen)
         start, console = time.perf_counter(), Console(stderr=True)

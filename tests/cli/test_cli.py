@@ -302,7 +302,7 @@ def test_a_cell_without_a_fruit(tmp_path, monkeypatch, capsys):
     assert study.scene.counts["boxes"] == 1
     line = refused(monkeypatch, capsys, "harvest", "--scene", cell, "--out", tmp_path / "out")
     assert "scene 'cell' has no fruit" in line
-    monkeypatch.setattr("jaxik.view.Page", lambda *_: stopped())
+    monkeypatch.setattr("jaxik.view.Page", lambda *_, **__: stopped())
     assert "far enough" in refused(monkeypatch, capsys, "view", "p6r", "--scene", cell)
     assert "no fruit" in refused(monkeypatch, capsys, "view", "p6r", "--scene", cell, "--harvest")
 

@@ -1,0 +1,26 @@
+"""Flags of a command from the declarations of options: their defaults, units and words stand in one place."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Annotated, Any
+
+import tyro
+
+from jaxik.options import Options, fields
+
+
+def flags(options: type[Options], **kinds: Any) -> Any:
+    """A base of a command's arguments with those fields of `options` that `kinds` names, each of the type that it gives: a
+    shell knows no objects. `given` gathers them again."""
+    usual, made = options(), []
+    for name, kind in kinds.items():
+        field = fields(options)[name]
+        words = f"{field.words[0].upper()}{field.words[1:]}{f' [{field.unit}]' if field.unit else ''}."
+        made.append((name, Annotated[kind, tyro.conf.arg(help=words)], dataclasses.field(default=getattr(usual, name))))
+    return dataclasses.make_dataclass(f"{options.__name__}Flags", made, kw_only=True)
+
+
+def given(arguments: Any, options: type[Options]) -> dict[str, Any]:
+    """The fields of `options` that a command has as flags, by name."""
+    return {name: getattr(arguments, name) for name in fields(options) if hasattr(arguments, name)}
