@@ -38,7 +38,7 @@ class PlanArguments(ShapedRobotArguments):
     """Limit of every joint [rad/s, m/s]; the robot's own unless given."""
     acceleration: float | None = None
     """Limit of every joint [rad/s2, m/s2]; four times the velocity a second unless given."""
-    period: float = 0.01
+    dt: float = 0.01
     """Between samples of the file [s]."""
     rounds: int = jaxik.planning.PlanOptions().rounds
     """Of the search, before it is given up."""
@@ -53,8 +53,8 @@ class PlanArguments(ShapedRobotArguments):
         """Load, plan, write, and end with one line. Raises `Unsolved` where there is no motion, with the reason."""
         if self.out.suffix.lower() not in ENDINGS:
             raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: {', '.join(ENDINGS)}")
-        if not 0.0 < self.period < np.inf:
-            raise ValueError(f"--period {self.period:g}: it is above zero [s]")
+        if not 0.0 < self.dt < np.inf:
+            raise ValueError(f"--dt {self.dt:g}: it is above zero [s]")
         check_writable(self.out)
         if self.without and self.scene is None:
             raise ValueError(f"--without {' '.join(self.without)}: there is no scene to leave it out of; give --scene")
@@ -74,7 +74,7 @@ class PlanArguments(ShapedRobotArguments):
         if moved.trajectory is None or moved.waypoints is None:
             raise Unsolved(f"no motion in {seconds:.1f} s: {moved.why}{self._what(moved, robot, scene)}")
         with writing(self.out) as (aside, wrote):
-            jaxik.planning.save_trajectory(moved.trajectory, aside, robot=robot, dt=self.period)
+            jaxik.planning.save_trajectory(moved.trajectory, aside, robot=robot, dt=self.dt)
         lasts, corners = moved.trajectory.duration, len(moved.waypoints) - 2
         print(f"{lasts:.2f} s around {corners} corners, planned in {seconds:.2f} s; {wrote}")
 

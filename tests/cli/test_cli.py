@@ -520,10 +520,10 @@ def test_a_motion_is_planned_and_written(tmp_path, monkeypatch, capsys):
     for more, words in (
         (("--goal", 9, 0), "no motion in 0.0 s: goal: limits; q1 is 5.858 rad beyond its limits"),
         (("--goal", 1), "--goal: 1 numbers; planar2 has 2: q1, q2"),
-        (("--period", 0), "--period 0: it is above zero [s]"),
+        (("--dt", 0), "--dt 0: it is above zero [s]"),
         (("--out", "motion.txt"), "ending '.txt'; allowed: .csv, .npz, .json"),
         (("--without", "crate"), "--without crate: there is no scene to leave it out of; give --scene"),
-        (("--period", 1e-9), "period is 1e-09 s, and the motion lasts"),
+        (("--dt", 1e-9), "dt is 1e-09 s, and the motion lasts"),
     ):
         with pytest.raises(SystemExit) as left:
             call(monkeypatch, "plan", "planar2", *ends, "--velocity", 1, *more)
