@@ -25,6 +25,7 @@ import jaxik
 
 OUT = Path(__file__).with_suffix(".json")
 ROBOT, SCENE = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
+MARGIN = 0.005  # [m]
 ANGLES = 24  # a fruit is picked at any of them
 POSES = [jaxik.reach.Grasp().frames(fruit, ANGLES)[::2] for fruit in SCENE.marks]
 AROUND = [SCENE.without([fruit.name]).geometry() for fruit in SCENE.marks]
@@ -44,7 +45,7 @@ def placed(base: Any) -> Any:
 
 def picked(y: Any, z: Any, yaw: Any) -> np.ndarray:
     """Fruits with a posture from every base of a grid (ny, nz, nyaw), by one sweep of the row's fruits and angles."""
-    study = {"robot": "p6r", "slides": 21, "audited": 0, "refine": 0, "chunk": 300, "collision": {"margin": 0.005}}
+    study = {"robot": "p6r", "slides": 21, "audited": 0, "refine": 0, "chunk": 300, "collision": {"margin": MARGIN}}
     study |= {"targets": {"kind": "crop", "crops": 1, "angles": ANGLES}}
     study |= {"base": {k: np.atleast_1d(v).tolist() for k, v in (("y", y), ("z", z), ("yaw", yaw))}}
     with tempfile.TemporaryDirectory() as folder:
@@ -55,7 +56,9 @@ def picked(y: Any, z: Any, yaw: Any) -> np.ndarray:
 
 @jax.jit
 def score(base: Any, poses: Any, q: Any, scene: Any) -> Any:
-    return jax.value_and_grad(lambda b: jaxik.reach.log_reach_score(ROBOT.mounted(placed(b)), scene, poses, q))(base)
+    return jax.value_and_grad(lambda b: jaxik.reach.log_reach_score(ROBOT.mounted(placed(b)), scene, poses, q, margin=MARGIN))(
+        base
+    )
 
 
 def ascend(base: np.ndarray) -> tuple[np.ndarray, list[Any]]:
@@ -67,7 +70,7 @@ def ascend(base: np.ndarray) -> tuple[np.ndarray, list[Any]]:
         robot = ROBOT.mounted(np.asarray(placed(jnp.asarray(base))))
         value, slope = 0.0, np.zeros(3)
         for poses, scene in zip(POSES, AROUND, strict=True):
-            at, q = jaxik.reach.likely_postures(robot, scene, poses, slides=6)
+            at, q = jaxik.reach.likely_postures(robot, scene, poses, slides=6, margin=MARGIN)
             v, g = score(jnp.asarray(base, jnp.float32), at.astype(np.float32), q, scene)
             value, slope = value + float(v), slope + np.asarray(g, float)
         history.append([*map(float, base), value])

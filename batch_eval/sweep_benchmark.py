@@ -28,8 +28,9 @@ from race import machine
 from scipy.spatial.transform import Rotation
 
 import jaxik
-from jaxik.reach.certify import beyond, certify
+from jaxik.reach import prove_reach
 from jaxik.reach.leading_joints import freest, leading_grid
+from jaxik.reach.proof import beyond
 
 HERE = Path(__file__).parent
 OUT = Path(__file__).with_suffix(".json")
@@ -107,16 +108,17 @@ def _between(robot: jaxik.Robot, count: int = 4000, refine: int = 5) -> dict[str
     on_grid = lambda positions: freest(robot, poses, leading_grid(robot, positions)).freedom >= 0.0
     found = on_grid(slides) & ~away
     asked = np.flatnonzero(~found & ~away)
-    certify(robot, poses[asked], slides, refine)  # compiled
+    prove_reach(robot, poses[asked], slides=slides, refine=refine)  # compiled
     begun = time.perf_counter()
-    more = certify(robot, poses[asked], slides, refine)
+    more = prove_reach(robot, poses[asked], slides=slides, refine=refine)
     seconds = time.perf_counter() - begun
     hits, open_ = more.branch >= 0, np.zeros(count, bool)
-    open_[asked] = more.open
+    open_[asked] = more.reason == jaxik.Reason.NOT_CONVERGED
     reached = found.copy()
     reached[asked[hits]] = True
     finer = 100 if len(given.names) == 1 else 10  # of two, 10 times as many of each
     dense = on_grid(finer * (slides - 1) + 1)
+    once_more = prove_reach(robot, poses[open_], slides=slides, refine=refine + 3).counts()
     return {
         "given": list(given.names),
         "targets": count,
@@ -126,7 +128,7 @@ def _between(robot: jaxik.Robot, count: int = 4000, refine: int = 5) -> dict[str
         "between": int(hits.sum()),
         "out_of_reach": int((~reached & ~open_).sum()),
         "undecided": int(open_.sum()),
-        "undecided_once_more": int(certify(robot, poses[np.flatnonzero(open_)], slides, refine + 3).open.sum()),
+        "undecided_once_more": once_more.get("not converged", 0),
         "seconds": seconds,
         "dense": int((dense & ~found).sum()),
         "dense_called_out_of_reach": int((dense & ~reached & ~open_).sum()),

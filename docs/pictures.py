@@ -16,7 +16,7 @@ import numpy as np
 
 import jaxik
 from jaxik.motions import FollowOptions, Horizon, Line, quadratic_cost
-from jaxik.reach import certify
+from jaxik.reach import prove_reach
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -232,8 +232,8 @@ def _cells(axis: Any, robot: jaxik.Robot, pose: np.ndarray, slides: int, depth: 
         for low, high in cells:
             lower, upper = np.array(robot.lower), np.array(robot.upper)
             lower[0], upper[0] = low, high
-            here = certify.certify(dataclasses.replace(robot, lower=lower, upper=upper), pose[None], 2, 0)
-            kind = "found in its middle" if here.branch[0] >= 0 else "still possible" if here.open[0] else "proven empty"
+            here = prove_reach(dataclasses.replace(robot, lower=lower, upper=upper), pose[None], slides=2, refine=0)
+            kind = {"solved": "found in its middle", "not converged": "still possible"}.get(str(here[0].reason), "proven empty")
             colour = {"found in its middle": GREEN, "still possible": ORANGE, "proven empty": PALE}[kind]
             label = None if kind in shown else kind
             shown.add(kind)

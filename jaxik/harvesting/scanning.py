@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.analytic.families import scan_obstacle
-from jaxik.analytic.solutions import BRANCHES, closed_branches, valid_branches
+from jaxik.analytic.solutions import BRANCHES
 from jaxik.checks.options import check_kind, no_such
 from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import check_geometry
@@ -26,7 +26,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.options import anything, instance
 from jaxik.pytree import static
 from jaxik.reach.grasp import Grasp, approach_grid
-from jaxik.reach.leading_joints import leading_grid
+from jaxik.reach.leading_joints import leading_grid, postures_over
 from jaxik.reach.ranking import PostureOptions, measures
 from jaxik.reasons import Reason
 from jaxik.results import Result
@@ -141,20 +141,15 @@ def scan(robot: Robot, scene: Scene, fruit: Mark, *, options: ScanOptions | None
 
 def _candidates(robot: Robot, poses: np.ndarray, lead: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Solves all poses at all leading positions. Returns the postures inside the limits, the status of all candidates, the rows
-    of those inside, and the nearest past the limits. All are asked which branches have the pose; only these are solved."""
-    poses, leading, count = poses.astype(np.float32), lead.astype(np.float32), len(lead)
-    cell = lambda pair: (poses.take(pair // count, axis=0), leading.take(pair % count, axis=0))
-    pairs = np.arange(len(poses) * count, dtype=np.int32)
-    (bits,) = in_blocks(valid_branches(robot), pairs, double=False, rows=cell)
-    valid = np.flatnonzero(np.unpackbits(bits, bitorder="little").view(bool))
-    posture = lambda row: (*cell(row // BRANCHES), (row % BRANCHES).astype(np.int32))
-    q, within = in_blocks(closed_branches(robot), valid, double=False, rows=posture)
-    status = np.full(len(pairs) * BRANCHES, Reason.OUT_OF_REACH, np.int8)
-    status[valid] = Reason.LIMITS
-    past = ~within
+    of those inside, and the nearest past the limits."""
+    found = postures_over(robot, poses, slides=lead)
+    rows = (found.pose * len(lead) + found.slide) * BRANCHES + found.branch
+    status = np.full(len(poses) * len(lead) * BRANCHES, Reason.OUT_OF_REACH, np.int8)
+    status[rows] = Reason.LIMITS
+    q, past = found.q, ~found.inside
     violation = np.maximum(robot.lower - q[past], q[past] - robot.upper).max(axis=1)
-    near = valid[past][np.argsort(violation, kind="stable")[:MISSES]]
-    return q[within], status, valid[within], near
+    near = rows[past][np.argsort(violation, kind="stable")[:MISSES]]
+    return q[found.inside], status, rows[found.inside], near
 
 
 def without_fruit(scene: Scene, fruit: Mark) -> Scene:

@@ -1,7 +1,20 @@
-"""What an arm reaches over all positions of its leading joints (a slide), and what lies between those that were tried."""
+"""Reach of an arm over all positions of its leading joints (a slide), and proofs of what lies between those that were tried."""
 
 from jaxik.reach.grasp import Grasp
+from jaxik.reach.leading_joints import Postures, postures_over
+from jaxik.reach.proof import ReachProof, prove_reach
 from jaxik.reach.ranking import PostureOptions
-from jaxik.reach.scoring import likely_postures, log_reach_score, reach_score
+from jaxik.reach.scoring import LikelyPostures, likely_postures, log_reach_score, reach_score
 
-__all__ = ["Grasp", "PostureOptions", "likely_postures", "log_reach_score", "reach_score"]
+__all__ = [
+    "Grasp",
+    "LikelyPostures",
+    "PostureOptions",
+    "Postures",
+    "ReachProof",
+    "likely_postures",
+    "log_reach_score",
+    "postures_over",
+    "prove_reach",
+    "reach_score",
+]

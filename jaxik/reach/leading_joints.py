@@ -1,9 +1,9 @@
-"""The best posture of a target over all positions of the leading joints (the slide).
+"""The postures of targets over all positions of the leading joints (the slide): all of them, or the best.
 
-`scan` keeps every candidate of one fruit; this keeps, of each of millions of targets, what a map needs: which branches are
-inside the limits at which leading positions, and the freest of them. One loop over the positions, a target a lane: joints 1 to
-3 alone tell without one angle that most positions have none, and only what some lane still asks for there is solved. So lanes
-that are neighbours should be alike.
+`postures_over` keeps every one of a few targets; `freest` keeps what a map needs of each of millions: which branches are inside
+the limits at which leading positions, and the freest of them. It loops over the positions, a target a lane: joints 1 to 3 alone
+tell without one angle that most positions have none, and only what some lane still asks for there is solved. So lanes that are
+neighbours should be alike.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ import numpy as np
 from jax import lax
 
 from jaxik.analytic.families import solver_of
+from jaxik.analytic.solutions import BRANCHES, closed_branches, valid_branches
 from jaxik.analytic.turns import HalfBranch
+from jaxik.checks.arrays import numbers
 from jaxik.checks.options import as_count_or_values
 from jaxik.kinematics.joint_turns import TURN
 from jaxik.kinematics.robot import Robot
@@ -31,9 +33,9 @@ NEARLY = 1e-3  # of a cosine, by which what is not looked at closely may be past
 
 
 def leading_grid(robot: Robot, slides: Any) -> np.ndarray:
-    """Values (m, k) of the k leading joints: as given (of one joint (m,) too), or a grid over their ranges, a count each, of
-    which a whole turn has one end only; one empty row for k = 0. Raises `ValueError` for what is neither a count nor such
-    values, and where there is no closed form."""
+    """Values (m, k) of the k leading joints: as given, (m,) too for one joint, or a grid over their ranges, a count each; a
+    whole turn has one end only; one empty row for k = 0. Raises `ValueError` for what is neither a count nor such values, and
+    where there is no closed form."""
     low, high = solver_of(robot).limits()
     k, around = len(low), whole_turns(robot)
     slides = as_count_or_values("slides", slides, (-1, k))
@@ -43,7 +45,7 @@ def leading_grid(robot: Robot, slides: Any) -> np.ndarray:
 
 
 def whole_turns(robot: Robot) -> np.ndarray:
-    """Which of the leading values (k,) have a whole turn as their range, both ends of which are one posture."""
+    """Whether each leading value (k,) has a whole turn as its range, both ends of which are one posture."""
     solver = solver_of(robot)
     low, high = solver.limits()
     turning = np.array([not robot.is_prismatic[i] for i in solver.given_joints], bool)
@@ -58,8 +60,43 @@ def grid(axes: list[np.ndarray]) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
+class Postures(NamedTuple):
+    """The postures of poses over the leading joints, in the order of pose, slide and branch: q (c, n) [m, rad], the numbers
+    (c,) of their pose, of the row of `slides` (m, k), and of their branch in `closed_form`, and whether each (c,) is inside the
+    limits."""
+
+    q: np.ndarray
+    pose: np.ndarray
+    slide: np.ndarray
+    branch: np.ndarray
+    inside: np.ndarray
+    slides: np.ndarray
+
+
+def postures_over(robot: Robot, poses: Any, *, slides: Any = 11) -> Postures:
+    """Finds all postures of the poses `base_T_tip` (N, 4, 4) [m] over the leading joints: `slides` is a count for each, over
+    its range, or their values (m, k). Host driver. In float32.
+
+    All poses are asked at all positions which branches have the pose, inside the limits or not; only these are solved. Raises
+    `ValueError` for another shape, and where the robot has no closed form.
+    """
+    given = numbers("postures_over: poses", poses)
+    if given.ndim != 3 or given.shape[1:] != (4, 4):
+        raise ValueError(f"postures_over: poses of shape {given.shape}; allowed: (N, 4, 4)")
+    leading = leading_grid(robot, slides)
+    some, lead, count = given.astype(np.float32), leading.astype(np.float32), len(leading)
+    cell = lambda pair: (some.take(pair // count, axis=0), lead.take(pair % count, axis=0))
+    pairs = np.arange(len(some) * count, dtype=np.int32)
+    (bits,) = in_blocks(valid_branches(robot), pairs, double=False, rows=cell)
+    valid = np.flatnonzero(np.unpackbits(bits, bitorder="little").view(bool))
+    posture = lambda row: (*cell(row // BRANCHES), (row % BRANCHES).astype(np.int32))
+    q, inside = in_blocks(closed_branches(robot), valid, double=False, rows=posture)
+    pair, branch = np.divmod(valid, BRANCHES)
+    return Postures(q, *np.divmod(pair, count), branch, inside, leading)
+
+
 class Freest(NamedTuple):
-    """Of each target (N,): the freest branch over the leading positions, and what else is inside the limits.
+    """The freest branch of each target (N,) over the leading positions, and what else is inside the limits.
 
     `freedom` is that of `costs.joint_limit_margin`: >= 0 inside the limits, -1 to 0 past them, less where no branch has the
     pose. `lead` is the row of the leading positions, `inside` how many branches are inside the limits over all of them, and
@@ -74,7 +111,7 @@ class Freest(NamedTuple):
 
 
 def freest(robot: Robot, poses: np.ndarray, leading: np.ndarray) -> Freest:
-    """The freest posture of each of the poses `base_T_tip` (N, 4, 4) over `leading` (m, k) [m, rad]; in float32."""
+    """Finds the freest posture of each pose `base_T_tip` (N, 4, 4) over `leading` (m, k) [m, rad]; in float32."""
     size = next(s for s in (4**n for n in range(2, 16)) if s >= len(leading))
     padded = np.concatenate([leading, np.repeat(leading[:1], size - len(leading), axis=0)])
     asked = lambda poses, past: Freest(
@@ -123,7 +160,7 @@ def _freest(robot: Robot, size: int, pose: Any, leading: Any, many: Any, past: A
 
 
 class _Best(NamedTuple):
-    """Of one target so far: the freest branch, how many are inside the limits, and a bit for each of those at this position."""
+    """The freest branch of one target so far, how many are inside the limits, and a bit for each of those at this position."""
 
     freedom: Any
     lead: Any
@@ -133,7 +170,7 @@ class _Best(NamedTuple):
 
 
 def _freer(robot: Robot, leading: Any, lead: Any, number: int, way: HalfBranch, best: _Best) -> _Best:
-    """With the two branches of a way of joints 1 to 3; of those that are as free the first way counts, and its first lead."""
+    """The best with the two branches of a way of joints 1 to 3; where several are as free, the first way and lead count."""
     one, two = (_freedom(robot, leading, *branch) for branch in way.finish())
     freedom, branch = jnp.maximum(one, two), 2 * number + (two > one).astype(jnp.int32)
     better = (freedom > best.freedom) | ((freedom == best.freedom) & (number < best.branch // 2))

@@ -1,14 +1,14 @@
-"""How well a target can be picked, as one smooth number that has a gradient in the robot's place, its shape and the scene.
+"""Reach as one smooth number that has a gradient in the robot's place, its shape and the scene.
 
 Reachable or not is a step, and a step has no slope. The score of a posture is instead the least of its margins (of clearance,
-of each joint to its limits, and of the pose itself where the arm falls short), that of a target the best over some postures,
-each smooth. Its derivative holds the tip on the target: the joints follow by `dq = J+ dr`, so nothing is solved for while the
-base or a link is moved, and a posture found once serves for a whole neighbourhood.
+of each joint to its limits, and of the pose itself where the arm falls short), and the score of a target the best over some
+postures, each smooth. Its derivative holds the tip on the target: the joints follow by `dq = J+ dr`, so nothing is solved for
+while the base or a link is moved, and a posture found once serves for a whole neighbourhood.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,7 @@ from jaxik.checks.options import as_count, check_finite
 from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.clearances import check_geometry, clearance
 from jaxik.collision.scene import Scene
+from jaxik.ik.problem import is_looked_at
 from jaxik.kinematics.forward import forward_kinematics, jacobian
 from jaxik.kinematics.robot import Robot
 from jaxik.optimise.linear import definite_solve
@@ -41,11 +42,13 @@ def reach_score(
     scene: Scene | None,
     poses: Float[Array, "k 4 4"],
     q: Float[Array, "k n"],
-    margin: Any = 0.005,
+    *,
+    margin: Any = 0.0,
     temperature: Any = 0.05,
+    collision: bool = True,
 ) -> Float[Array, ""]:
-    """In (0, 1): how well a target can be picked by any of k postures `q` (k, n), at its alternative poses `world_T_tip`; above
-    1/2 where one of them is clear, inside the limits and there. Traced.
+    """Scores in (0, 1) how well a target is reached by any of k postures `q` (k, n), at its alternative poses `world_T_tip`;
+    above 1/2 where one of them is clear, inside the limits and there. Traced.
 
         score = sigmoid(T log sum_k exp(worth_k / T) / 0.2),   worth_k = -T log sum_i exp(-margin_ki / T) - short_k / 30 mm
 
@@ -53,9 +56,10 @@ def reach_score(
 
     Pure: differentiate it in `poses`, in `robot.world_T_base` (`robot.mounted(frame)`), in any number of the robot
     (`dataclasses.replace`) and in the scene. `margin` [m] is the least clearance, `temperature` T how much is smoothed (0 to
-    1).
+    1). Without a scene the robot keeps clear of itself; with `collision=False` no clearance counts.
     """
-    return jnp.exp(log_reach_score(robot, scene, poses, q, margin, temperature))
+    score = log_reach_score(robot, scene, poses, q, margin=margin, temperature=temperature, collision=collision)
+    return jnp.exp(score)
 
 
 def log_reach_score(
@@ -63,11 +67,13 @@ def log_reach_score(
     scene: Scene | None,
     poses: Float[Array, "k 4 4"],
     q: Float[Array, "k n"],
-    margin: Any = 0.005,
+    *,
+    margin: Any = 0.0,
     temperature: Any = 0.05,
+    collision: bool = True,
 ) -> Float[Array, ""]:
-    """The logarithm of `reach_score`: what to add up over targets and climb, for it has a slope metres away too, where the
-    score itself is 0 to the last bit. Traced. Raises `ValueError` for other shapes."""
+    """The logarithm of `reach_score`, to add up over targets and climb: it has a slope metres away too, where the score itself
+    is 0 to the last bit. Traced. Raises `ValueError` for other shapes."""
     poses, q = as_numbers("poses", poses), as_numbers("q", q)
     if poses.shape != (*q.shape[:1], 4, 4) or q.shape[1:] != (robot.num_joints,) or not len(q):
         raise ValueError(
@@ -75,7 +81,7 @@ def log_reach_score(
         )
     as_shaped("margin", margin, ())
     as_shaped("temperature", temperature, ())
-    around = None if scene is None else grouped(scene, robot)
+    around = grouped(scene, robot) if is_looked_at("reach_score", robot, scene, collision) else None
     each = jax.vmap(lambda pose, posture: _worth(robot, around, pose, posture, margin, temperature))
     best = temperature * jax.nn.logsumexp(each(poses, q) / temperature)
     return jax.nn.log_sigmoid(best / WIDTH)
@@ -106,21 +112,34 @@ def _following(robot: Robot, pose: Any, q: Any) -> tuple[Any, Any]:
 
 
 def _twist(tip: Any, wanted: Any) -> Any:
-    """What carries `tip` (4, 4) to `wanted` (3, 4): the shift [m], and the turn [rad] as its sine about its axis."""
+    """The twist that carries `tip` (4, 4) to `wanted` (3, 4): the shift [m], and the turn [rad] as its sine about its axis."""
     turn = wanted[:3, :3] @ tip[:3, :3].T
     skew = (turn - turn.T) / 2.0
     return jnp.concatenate([wanted[:3, 3] - tip[:3, 3], jnp.stack([skew[2, 1], skew[0, 2], skew[1, 0]])])
 
 
-def likely_postures(
-    robot: Robot, scene: Scene | None, poses: np.ndarray, count: int = 8, slides: Any = 11, margin: float = 0.005
-) -> tuple[np.ndarray, np.ndarray]:
-    """Of one target's alternative poses `world_T_tip` (a, 4, 4) the `count` most promising (count, 4, 4), with postures (count,
-    n): of all branches at `slides` positions of each leading joint, past limits and reach too, those of the best worth. Host
-    driver.
+class LikelyPostures(NamedTuple):
+    """Alternative poses `world_T_tip` (count, 4, 4) of a target, and a posture q (count, n) for each; the best first."""
 
-    A host function for robots with a closed form; others take the answers of `solve_ik`. Raises `ValueError` where the robot
-    has none, or no pose is one.
+    poses: np.ndarray
+    q: np.ndarray
+
+
+def likely_postures(
+    robot: Robot,
+    scene: Scene | None,
+    poses: np.ndarray,
+    *,
+    count: int = 8,
+    slides: Any = 11,
+    margin: float = 0.0,
+    collision: bool = True,
+) -> LikelyPostures:
+    """Returns the `count` most promising of one target's alternative poses `world_T_tip` (a, 4, 4), with a posture for each: of
+    all branches at `slides` positions of each leading joint, past limits and reach too, those of the best worth. Host driver.
+
+    It is for robots with a closed form; others take the answers of `solve_ik`. Without a scene the robot keeps clear of itself;
+    with `collision=False` no clearance counts. Raises `ValueError` where the robot has no closed form, or no pose is one.
     """
     poses, count = numbers("poses", poses), as_count("likely_postures: count", count)
     check_finite("likely_postures", margin=margin)
@@ -134,10 +153,13 @@ def likely_postures(
     q, _, _ = in_blocks(closed_forms(arm_of(robot)), local[pose], leading[lead], double=False)
     q, at = np.asarray(q).reshape(-1, robot.num_joints), np.repeat(poses[pose], BRANCHES, axis=0)
     home = robot.mounted(np.eye(4))
-    around = None if scene is None else grouped(scene.moved(np.linalg.inv(np.asarray(robot.world_T_base))), robot)
+    around = None
+    if is_looked_at("likely_postures", robot, scene, collision):
+        here = np.linalg.inv(np.asarray(robot.world_T_base))
+        around = grouped(None if scene is None else scene.moved(here), robot)
     (worth,) = in_blocks(_worths(home), np.repeat(local[pose], BRANCHES, axis=0), q, fixed=(around, margin), double=False)
     best = np.argsort(-np.where(np.isfinite(worth), worth, -np.inf), kind="stable")[:count]
-    return at[best], q[best]
+    return LikelyPostures(at[best], q[best])
 
 
 @host_kernels(2, known=16)

@@ -23,8 +23,8 @@ from jaxik.ik.solutions import first_most
 from jaxik.ik.solve import IKResult, solved
 from jaxik.kinematics.forward import manipulability, pose_errors
 from jaxik.kinematics.robot import Robot
-from jaxik.reach.certify import beyond, certify
 from jaxik.reach.leading_joints import NOTHING, arm_of, freest, grid, leading_grid
+from jaxik.reach.proof import beyond, prove_reach
 from jaxik.reach.ranking import measures
 from jaxik.reasons import Reason
 from jaxik.spatial.algebra import traced
@@ -234,19 +234,19 @@ def _answered(columns: Columns, robot: Robot, poses: np.ndarray, asked: np.ndarr
 
 
 def _between(study: Study, robot: Robot, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, np.ndarray]:
-    """What `certify` finds for poses that have nothing on the grid; and which stay open."""
-    found = certify(robot, poses, study.slides, study.refine)
-    best = _Best.nothing(len(poses), found.leading.shape[1])
-    rows = np.flatnonzero(found.branch >= 0)
-    best.leading[rows], best.branch[rows] = found.leading[rows], found.branch[rows]
+    """Searches between the grid's positions for poses that have nothing on it; returns the best, and which stay open."""
+    found = prove_reach(robot, poses, slides=study.slides, refine=study.refine)
+    best, open_ = _Best.nothing(len(poses), found.slide.shape[1]), found.reason == Reason.NOT_CONVERGED
+    rows = np.flatnonzero(found.success)
+    best.leading[rows], best.branch[rows] = found.slide[rows], found.branch[rows]
     best.reason[rows], best.solutions[rows] = Reason.SOLVED, 1
     if around is not None and len(rows):
-        arm, some = arm_of(robot), (poses[rows], found.leading[rows], found.branch[rows])
+        arm, some = arm_of(robot), (poses[rows], found.slide[rows], found.branch[rows])
         q, _ = in_blocks(closed_branches(arm), *some, double=True)
         best.clearance[rows], _ = around.measured(measures(arm), rows, q)
         hits = rows[~(best.clearance[rows] >= study.margin)]
-        best.reason[hits], best.solutions[hits], found.open[hits] = Reason.COLLISION, 0, True
-    return best, found.open
+        best.reason[hits], best.solutions[hits], open_[hits] = Reason.COLLISION, 0, True
+    return best, open_
 
 
 def _no_answer(robot: Robot, count: int) -> Columns:

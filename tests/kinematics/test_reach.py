@@ -10,7 +10,7 @@ from robots import ROBOTS, bare, joint_range, pinocchio
 
 import jaxik
 from jaxik.kinematics.reach_bound import reach_bound
-from jaxik.reach.certify import beyond
+from jaxik.reach.proof import beyond
 
 SHIPPED = ["p6r", "crops_v2", "chembuly9", "pendulum4", "planar2"]
 ROUNDING = 1e-12  # [m]

@@ -8,8 +8,10 @@ from robots import pinocchio
 from scipy.spatial.transform import Rotation
 
 import jaxik
-from jaxik.reach.certify import beyond, certify
+from jaxik.reach import postures_over, prove_reach
 from jaxik.reach.leading_joints import freest, leading_grid
+from jaxik.reach.proof import beyond
+from jaxik.reasons import Reason
 
 COUNT = 1500
 # the arm, how far around it the targets are [m], the grid, and how many of the targets may stay undecided
@@ -24,10 +26,11 @@ def test_a_denser_grid_finds_nothing_that_was_called_out_of_reach(name):
     poses[:, :3, :3] = Rotation.random(COUNT, random_state=rng).as_matrix()
     on_grid = lambda positions: freest(robot, poses, leading_grid(robot, positions)).freedom >= 0.0
     coarse, dense, away = on_grid(slides), on_grid(100 * (slides - 1) + 1), beyond(robot, poses)
-    found = certify(robot, poses, slides, 5)
+    found = prove_reach(robot, poses, slides=slides, refine=5)
+    open_ = found.reason == Reason.NOT_CONVERGED
     missed = dense & ~coarse
-    assert not np.any(missed & (found.branch < 0) & ~found.open) and not np.any(dense & away)
-    assert missed.sum() >= 2 and found.open[~coarse & ~away].sum() <= undecided
+    assert not np.any(missed & (found.reason == Reason.OUT_OF_REACH)) and not np.any(dense & away)
+    assert missed.sum() >= 2 and open_[~coarse & ~away].sum() <= undecided
 
 
 def test_an_arm_with_few_decimals_is_not_proven_away_from_its_own_poses():
@@ -44,11 +47,35 @@ def test_an_arm_with_few_decimals_is_not_proven_away_from_its_own_poses():
     )
     pose = pinocchio(robot)
     poses = np.stack([pose(row) for row in q])
-    found = certify(robot, poses, 5, 3)
-    assert (found.open | (found.branch >= 0)).all()
+    found = prove_reach(robot, poses, slides=5, refine=3)
+    assert not np.any(found.reason == Reason.OUT_OF_REACH) and np.array_equal(found.success, found.branch >= 0)
     poses[:, :3, 3] *= 1.6
-    away = certify(robot, poses, 5, 5)
-    assert np.mean(~away.open & (away.branch < 0)) > 0.5
+    away = prove_reach(robot, poses, slides=5)
+    assert np.mean(away.reason == Reason.OUT_OF_REACH) > 0.5
+
+
+@pytest.mark.parametrize("name", ["ur10e_rail", "panda", "ur5e"])
+def test_postures_over_a_grid_are_those_of_the_closed_form(name):
+    robot, rng = jaxik.load(name), np.random.default_rng(3)
+    pose, q = pinocchio(robot), rng.uniform(robot.lower, robot.upper, (4, robot.num_joints))
+    poses = np.stack([pose(row) for row in q])
+    found = postures_over(robot, poses, slides=5)
+    assert len(found.slides) == (5 if robot.num_joints == 7 else 1)
+    known: set[tuple[int, int, int]] = set()
+    for i, target in enumerate(poses):
+        for k, slide in enumerate(found.slides):
+            one = jaxik.closed_form(robot, target, slide)
+            known |= {(i, k, int(b)) for b in np.flatnonzero(one.within_limits)}
+    inside = found.inside
+    assert known == set(zip(*(x[inside].tolist() for x in (found.pose, found.slide, found.branch)), strict=True))
+    assert all(np.abs(pose(x) - poses[i]).max() < 1e-4 for x, i in zip(found.q, found.pose, strict=True))
+    with pytest.raises(ValueError, match=r"postures_over: poses of shape \(4, 4\); allowed: \(N, 4, 4\)"):
+        postures_over(robot, poses[0])
+
+
+def test_what_is_no_pose_is_invalid():
+    proof = prove_reach(jaxik.load("panda"), np.full((1, 4, 4), np.nan), slides=3, refine=1)
+    assert proof.why.tolist() == ["invalid"] and np.isnan(proof.slide).all() and not proof[0]
 
 
 @pytest.mark.parametrize("name", ["iiwa14", "gen3"])

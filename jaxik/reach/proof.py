@@ -1,28 +1,31 @@
-"""What a grid of leading positions (of the slide) can have missed: found between its points, or proven not to be there.
+"""Proofs of what a grid of leading positions (of the slide) can have missed: found between its points, or not there at all.
 
 Between two positions of the grid the closed form is evaluated on balls (`ball`): the slide anywhere in the cell. If then no
 branch can be inside the limits, the cell is empty, and that is a proof. What is left is halved, and so on; the middle of each
 cell is a position of its own, and where a branch is inside the limits there, the grid missed it. A target whose cells are all
-empty is out of reach for any position of the slide; one that has some left at the end stays open, and says so. Of an arm whose
-axes miss their family by a little, the closed form's poses are as far from its own: so a pose stands for all that are.
+empty is out of reach for any position of the slide; one that has some left at the end stays open. Where an arm's axes miss
+their family by a little, the closed form's poses are as far from its own: so a pose stands for all that are.
 """
 
 from __future__ import annotations
 
 import functools
 import itertools
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxik.analytic.families import Solver, solver_of
+from jaxik.checks.arrays import numbers
 from jaxik.checks.options import as_count
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.joint_turns import TURN
 from jaxik.kinematics.reach_bound import ReachBound, reach_bound
 from jaxik.kinematics.robot import Robot
 from jaxik.reach.leading_joints import arm_of, grid, may_be_inside, whole_turns
+from jaxik.reasons import Reason
+from jaxik.results import Result
 from jaxik.spatial.algebra import Frame
 from jaxik.spatial.ball import Ball, ball, possible, whole
 from jaxik.spmd import HostKernel
@@ -35,29 +38,54 @@ SLACK = 1e-9  # more than float64 rounds by
 SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=2)))  # of a way's two equations
 
 
-class Certified(NamedTuple):
-    """Of each target (N,): the leading position (N, k) and branch that were found, NaN and -1 if none; and whether it is open:
-    neither found nor excluded."""
+class ReachProof(Result):
+    """The postures between the positions of a grid, or the proofs that there are none; one entry a pose.
 
-    leading: np.ndarray
+    reason (N,) is SOLVED where a posture inside the limits was found, OUT_OF_REACH where none is inside them at any position of
+    the leading joints, which is a proof, NOT_CONVERGED where neither was found out, and INVALID for what is no finite pose.
+    slide (N, k) [m, rad] are the leading joints' values of the posture and branch (N,) its number in `closed_form`; NaN and -1
+    without one.
+    """
+
+    slide: np.ndarray
+    branch: np.ndarray
+    reason: Any
+    ROW: ClassVar = "pose"
+    HELP: ClassVar = {Reason.NOT_CONVERGED: "raise refine, or slides"}
+
+
+class _Found(NamedTuple):
+    """The leading positions and branches that were found so far, and which targets are open: neither found nor excluded."""
+
+    slide: np.ndarray
     branch: np.ndarray
     open: np.ndarray
 
 
-def certify(robot: Robot, poses: np.ndarray, slides: Any, depth: int) -> Certified:
-    """Looks between the positions of `leading_grid(robot, slides)` for the poses `base_T_tip` (N, 4, 4) that have no
-    posture on it, halving what stays possible `depth` times. In float64."""
-    solver, slides = solver_of(robot), as_count("slides", slides)
-    k = len(solver.limits()[0])
-    found = Certified(np.full((len(poses), k), np.nan), np.full(len(poses), -1), np.zeros(len(poses), bool))
+def prove_reach(robot: Robot, poses: Any, *, slides: int = 41, refine: int = 5) -> ReachProof:
+    """Finds postures for the poses `base_T_tip` (N, 4, 4) [m] between the positions of a grid of the leading joints, `slides`
+    for each, or proves that they have none. Host driver.
+
+    It is for poses that have no posture on the grid itself (`postures_over`): the cells between its positions are halved
+    `refine` times as long as interval arithmetic finds them possible, and their middles are tried. Limits count, collisions do
+    not. In float64. Raises `ValueError` for other shapes, and where the robot has no closed form.
+    """
+    solver, slides, refine = solver_of(robot), as_count("slides", slides), as_count("refine", refine, least=0)
+    poses = numbers("prove_reach: poses", poses)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4):
+        raise ValueError(f"prove_reach: poses of shape {poses.shape}; allowed: (N, 4, 4)")
+    k, valid = len(solver.limits()[0]), np.isfinite(poses).all(axis=(1, 2))
+    found = _Found(np.full((len(poses), k), np.nan), np.full(len(poses), -1), np.zeros(len(poses), bool))
     for start in range(0, len(poses), PORTION) if k else ():  # six joints have all their postures
         part = slice(start, start + PORTION)
-        _search(robot, poses[part], slides, depth, Certified(*(column[part] for column in found)))
+        _search(robot, poses[part], slides, refine, _Found(*(column[part] for column in found)))
     found.open[found.branch < 0] |= not solver.proves
-    return found
+    reason = np.where(found.open, Reason.NOT_CONVERGED, np.where(found.branch < 0, Reason.OUT_OF_REACH, Reason.SOLVED))
+    return ReachProof(found.slide, found.branch, np.where(valid, reason, Reason.INVALID))
 
 
-def _search(robot: Robot, poses: np.ndarray, slides: int, depth: int, found: Certified) -> None:
+def _search(robot: Robot, poses: np.ndarray, slides: int, refine: int, found: _Found) -> None:
+    """Fills `found` for a portion of targets."""
     arm = arm_of(robot)
     centres, half = _cells(robot, slides)
     cells = lambda target, centre: (poses[target], centre)
@@ -65,7 +93,7 @@ def _search(robot: Robot, poses: np.ndarray, slides: int, depth: int, found: Cer
     target, cell = np.nonzero(_within_reach(robot, poses, slides))
     centre = centres[cell]
     halves = grid([np.array([-0.5, 0.5])] * centre.shape[1])
-    for level in range(depth + 1):
+    for level in range(refine + 1):
         if not len(target):
             return
         (may,) = in_blocks(_reaches(arm), target, centre, fixed=(half,), double=True, rows=cells)
@@ -74,12 +102,12 @@ def _search(robot: Robot, poses: np.ndarray, slides: int, depth: int, found: Cer
         hits = np.flatnonzero(wrist >= 0)
         hits = hits[np.unique(target[cell[hits]], return_index=True)[1]]
         first = cell[hits]
-        found.leading[target[first]], found.branch[target[first]] = centre[first], 2 * way[hits] + wrist[hits]
+        found.slide[target[first]], found.branch[target[first]] = centre[first], 2 * way[hits] + wrist[hits]
         left = np.zeros(len(target), bool)
         left[cell[open_]] = True
         left &= found.branch[target] < 0
         target, centre = target[left], centre[left]
-        if level < depth:
+        if level < refine:
             target = np.repeat(target, len(halves))
             centre = (centre[:, None] + halves * half).reshape(-1, centre.shape[1])
             half = half / 2.0
@@ -87,7 +115,7 @@ def _search(robot: Robot, poses: np.ndarray, slides: int, depth: int, found: Cer
 
 
 def beyond(robot: Robot, poses: np.ndarray) -> np.ndarray:
-    """Whether each of the poses (N, 4, 4) is proven to be out of reach: of the robot, or of the arm at any leading position."""
+    """Whether each of the poses (N, 4, 4) is proven to be out of reach of the robot, or of the arm at any leading position."""
     spheres = _spheres(robot, COARSE)
     (found,) = in_blocks(_BEYOND, poses, fixed=(reach_bound(robot), spheres[0].tip_p, *spheres[1:]), double=True)
     return found
@@ -113,7 +141,7 @@ def _cells(robot: Robot, slides: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _within_reach(robot: Robot, poses: np.ndarray, slides: int) -> np.ndarray:
-    """Which cells (N, m) may have the arm near enough to a pose, by its reach: cheap, and most are not."""
+    """Whether each cell (N, m) may have the arm near enough to a pose, by its reach: cheap, and most have not."""
     bound, origin, within = _spheres(robot, slides)
     points = bound.point(poses)
     # |p - o|^2 by its parts: a fifth of the time of differences, and rounding is far below the slack. Not by `@`: BLAS lets its
@@ -125,8 +153,8 @@ def _within_reach(robot: Robot, poses: np.ndarray, slides: int) -> np.ndarray:
 
 @functools.lru_cache(maxsize=64)
 def _spheres(robot: Robot, slides: int) -> tuple[ReachBound, np.ndarray, np.ndarray]:
-    """The arm's reach; and of each cell the sphere's centre (m, 3) that it fills, and `radius^2 - |centre|^2` (m,): without
-    bound where a leading joint turns, which moves the arm's base by what its own reach is."""
+    """The arm's reach, and for each cell the centre (m, 3) of the sphere that it fills and `radius^2 - |centre|^2` (m,), which
+    has no bound where a leading joint turns and moves the arm's base by its own reach."""
     centres, half = _cells(robot, slides)
     k = solver_of(robot).first
     bound = reach_bound(robot.part(k, robot.num_joints))
@@ -139,8 +167,8 @@ def _spheres(robot: Robot, slides: int) -> tuple[ReachBound, np.ndarray, np.ndar
 
 @host_kernels(2)
 def _reaches(robot: Robot, pose: Any, centre: Any, half: Any) -> Any:
-    """Compiled, by rows: which of the ways (4,) of joints 1 to 3 can be inside the limits anywhere in a cell. Most cannot, and
-    what is left costs four times as much to look at."""
+    """Compiled, by rows: whether each way (4,) of joints 1 to 3 can be inside the limits anywhere in a cell. Most cannot, and
+    those that can cost four times as much to look at."""
     solver = solver_of(robot)
     ways = solver.half_branches(pose, Ball.inputs(centre, half), within=solver.away)
     return jnp.stack([possible(way.margin >= -SLACK) & may_be_inside(robot, way.turns, SLACK) for way in ways])
@@ -158,7 +186,7 @@ def _enclosed(robot: Robot, pose: Any, centre: Any, signs: Any, half: Any) -> tu
 
 
 def _inside(solver: Solver, angles: Any, margin: Any) -> tuple[Any, Any]:
-    """Whether the solved joints, at these balls of angles, can be inside their limits, and whether they are in the middle."""
+    """Whether the solved joints, at these balls of angles, can be inside their limits, and whether their middles are."""
     low, high = (x[solver.solved] for x in solver.robot.finite_limits)
     middle, reach_ = (low + high) / 2.0, (high - low) / 2.0
     margin = ball(margin)  # what no given joint moves is a number
