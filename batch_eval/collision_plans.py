@@ -70,7 +70,7 @@ def measure(name: str, plans: int) -> dict[str, Any]:
     for kind, each in robots.items():
         asked = jax.jit(jax.vmap(lambda q, robot=each: jaxik.collides(robot, None, q, margin=MARGIN)))
         row[f"{kind} keep 5 mm"] = float(1.0 - np.mean(np.asarray(asked(jnp.asarray(q[:SHARE])))))
-        moves = [jaxik.plan_motion(each, None, free[2 * k], free[2 * k + 1], seed=k) for k in range(plans)]
+        moves = [jaxik.plan_motion(each, free[2 * k], free[2 * k + 1], seed=k) for k in range(plans)]
         found = [move.trajectory for move in moves if move.trajectory is not None]
         at = [np.asarray(way.sample(float(way.duration) / (SAMPLES - 1)).q) for way in found]
         touching = judged_at(file, robot, np.concatenate(at), pairs) if at else np.zeros(0, bool)

@@ -47,7 +47,7 @@ folder, tip = pathlib.Path(sys.argv[1]), sys.argv[2] or None
 robot, times = motionbenchmaker.load_robot(folder, tip), []
 for goal in motionbenchmaker.goals(folder, robot):
     start = time.perf_counter()
-    jaxik.plan_motion(robot, goal.scene, goal.start, goal.q)
+    jaxik.plan_motion(robot, goal.start, goal.q, scene=goal.scene)
     times.append(time.perf_counter() - start)
 print(json.dumps({"first_s": times[0], "slowest_later_s": max(times[1:])}))
 """

@@ -30,7 +30,7 @@ import jaxik
 from jaxik.collision.clearances import link_clearances
 from jaxik.costs import collision_cost, joint_limit_cost
 from jaxik.motions import Curve, follow
-from jaxik.planning import OptimisedTrajectory, optimise_trajectory
+from jaxik.planning import TrajectoryResult, optimise_trajectory
 
 COUNT, DURATION, SPANS = 79, 10.0, 100
 STEM, RADIUS = np.array([0.241, 0.81]), 0.015
@@ -39,10 +39,11 @@ ACTIVATION, SELF_ACTIVATION, WEIGHT, MOST = 0.07, 0.05, 10.0, 5.0
 FIRST, LAST = 0.5, 1.0  # weight of the dynamic cost
 SPEED = 1.0  # [rad/s, m/s] not printed
 PRINTED: dict[str, Any] = {
-    **{"duration": DURATION, "spans": SPANS, "degree": 2, "velocity_cost": (FIRST, LAST), "velocity": SPEED},
+    **{"duration": DURATION, "spans": SPANS, "degree": 2, "velocity_cost": (FIRST, LAST)},
+    **{"velocity": SPEED, "acceleration": np.inf},
     **{"collision_weight": WEIGHT, "collision_maximum": MOST, "activation": ACTIVATION, "self_activation": SELF_ACTIVATION},
 }
-AS_PRINTED = PRINTED | {"margin": None, "rounds": 0, "iterations": 300}
+AS_PRINTED = PRINTED | {"collision": "penalty", "rounds": 0, "iterations": 300}
 CLOSELY = AS_PRINTED | {"tolerance": 1e-6, "iterations": 1000}
 TIMED = 4  # every so many fruits are timed one by one
 PAPER = {"converged": 0.94, "remaining": [0.36, 0.29], "heuristic": [60, 71.3, 3.44, 5.0], "straight": [81, 92.2, 4.78, 6.6]}
@@ -191,13 +192,13 @@ class Printed:
         return bool(np.min(self.clearance.map(rows.shape[1])(rows)) >= -TOUCH)
 
 
-def samples(found: OptimisedTrajectory, count: int = 1001) -> np.ndarray:
+def samples(found: TrajectoryResult, count: int = 1001) -> np.ndarray:
     """(b, count, n) at equal times."""
     at = lambda motion: motion.at(jnp.linspace(0.0, motion.duration, count)).q
     return np.asarray(jax.vmap(at)(found.trajectory))
 
 
-def judged(robot: jaxik.Robot, peer: Printed, found: OptimisedTrajectory) -> np.ndarray:
+def judged(robot: jaxik.Robot, peer: Printed, found: TrajectoryResult) -> np.ndarray:
     """Which motions converged and are free, by CasADi's distances."""
     good = np.isfinite(found.cost)
     for i, q in enumerate(samples(found)):
@@ -220,7 +221,9 @@ def redrawn(robot: jaxik.Robot, peer: Printed, guesses: dict[str, np.ndarray]) -
     aims, result, drawn = goals(), {}, {}
     reference = dynamic_cost(guesses["heuristic"])
     for name, guess in guesses.items():
-        call = lambda rows, guess=guess: optimise_trajectory(robot, scene(), HOME, aims[rows], guess[rows], **AS_PRINTED)
+        call = lambda rows, guess=guess: optimise_trajectory(
+            robot, HOME, aims[rows], scene=scene(), guess=guess[rows], **AS_PRINTED
+        )
         call(slice(0, 2))
         each = [clocked(lambda i=i, call=call: call(slice(i, i + 1))) for i in range(0, COUNT, TIMED)]
         seconds = np.array([s for _, s in each])
@@ -244,14 +247,14 @@ def redrawn(robot: jaxik.Robot, peer: Printed, guesses: dict[str, np.ndarray]) -
 
 def best(
     robot: jaxik.Robot, peer: Printed, guess: np.ndarray, reference: np.ndarray
-) -> tuple[dict[str, Any], OptimisedTrajectory]:
+) -> tuple[dict[str, Any], TrajectoryResult]:
     """All 79 in one batch, several postures each, the margin kept between samples."""
-    call = lambda: optimise_trajectory(robot, scene(), HOME, goals(), margin=0.0, **PRINTED)
+    call = lambda: optimise_trajectory(robot, HOME, goals(), scene=scene(), **PRINTED)
     first = clocked(call)[1]
     times = [clocked(call) for _ in range(5)]
     found, seconds = times[0][0], float(np.median([s for _, s in times]))
     solved = np.asarray(found.success)
-    one = lambda i: optimise_trajectory(robot, scene(), HOME, goals()[i], margin=0.0, **PRINTED)
+    one = lambda i: optimise_trajectory(robot, HOME, goals()[i], scene=scene(), **PRINTED)
     alone = np.array([clocked(lambda i=i: one(i))[1] for i in range(0, COUNT, TIMED)])
     sound = solved & (missed(robot, guess) < 1e-3)
     result = {
@@ -274,7 +277,8 @@ def beside_ipopt(robot: jaxik.Robot, peer: Printed, guess: np.ndarray, every: in
     rows, step = [], DURATION / SPANS
     for i in range(0, COUNT, every):
         goal = goals()[i]
-        ours, seconds = clocked(lambda i=i, goal=goal: optimise_trajectory(robot, scene(), HOME, goal, guess[i], **CLOSELY))
+        call = lambda i=i, goal=goal: optimise_trajectory(robot, HOME, goal, scene=scene(), guess=guess[i], **CLOSELY)
+        ours, seconds = clocked(call)
         q = samples(jax.tree_util.tree_map(lambda x: np.asarray(x)[None], ours), SPANS + 1)[0]
         rate = np.asarray(ours.trajectory.at(jnp.linspace(0.0, DURATION, SPANS + 1)).velocity)
         _, theirs = peer.solve(guess[i], np.gradient(guess[i], step, axis=0), goal)

@@ -22,7 +22,7 @@ from collision_peers import Coal
 from race import clocked, machine, percentiles
 
 import jaxik
-from jaxik.planning import JointPath, Planned, plan_motion, time_optimal
+from jaxik.planning import JointPath, PlanResult, plan_motion, time_path
 
 TOUCH = 1e-6  # [m] that float32 does not tell from contact
 APART = 1e-3  # [m] that any point of the robot moves at most between samples that are judged
@@ -31,7 +31,7 @@ VELOCITY, ACCELERATION = 2.0, 8.0
 PLACES = {"toppra": 100, "jaxik": 500}
 
 
-def judged(robot: jaxik.Robot, coal: Coal, scene: jaxik.Scene, moved: Planned) -> dict[str, Any]:
+def judged(robot: jaxik.Robot, coal: Coal, scene: jaxik.Scene, moved: PlanResult) -> dict[str, Any]:
     """Whether a motion is free, and the greatest shares of the limits that it takes."""
     assert moved.trajectory is not None
     reach = jaxik.collision.continuous_collision.joint_reaches(robot)
@@ -55,7 +55,7 @@ def problems(folder: Path, tip: str | None = None) -> dict[str, Any]:
     goals = list(motionbenchmaker.goals(folder, robot))
     coal = Coal(robot, *motionbenchmaker.files(folder), broad=True, posture=motionbenchmaker.posture(folder, robot))
     for _ in range(2):  # the first round compiles
-        each = [clocked(lambda goal=goal: plan_motion(robot, goal.scene, goal.start, goal.q)) for goal in goals]
+        each = [clocked(lambda goal=goal: plan_motion(robot, goal.start, goal.q, scene=goal.scene)) for goal in goals]
     motions, times = zip(*each, strict=True)
     verdicts = []
     for goal, moved in zip(goals, motions, strict=True):
@@ -64,7 +64,7 @@ def problems(folder: Path, tip: str | None = None) -> dict[str, Any]:
             coal.scenes.clear()
     p50, p95 = percentiles(times)
     solved = [moved for moved in motions if moved]
-    stops = [time_optimal(JointPath.polyline(m.waypoints), robot.velocity, 4.0 * robot.velocity) for m in solved[::10]]
+    stops = [time_path(m.waypoints, robot=robot) for m in solved[::10]]
     result = {
         "robot": robot.name,
         "problems": len(goals),
@@ -103,7 +103,7 @@ def timing(rounds: int = 5, theirs: int = 20) -> dict[str, Any]:
         solver = toppra.algorithm.TOPPRA(limits, path, gridpoints=grid, solver_wrapper="seidel")
         return solver.compute_trajectory(0, 0).duration
 
-    run = lambda: time_optimal(stacked, VELOCITY, ACCELERATION, PLACES["jaxik"])
+    run = lambda: time_path(stacked, velocity=VELOCITY, acceleration=ACCELERATION, places=PLACES["jaxik"])
     moved = run()
     ours, others = [], []
     for number in range(rounds):

@@ -40,7 +40,7 @@ from jaxik.estimation import (
     over_log,
     play,
 )
-from jaxik.planning import Trajectory, quintic
+from jaxik.planning import Trajectory, time_path
 
 SHOWN = range(1, 8)  # joints 2 to 8, as in the thesis: hardly any load comes to joint 9, and the slide stands still
 STRETCHED = np.array([0.5, 0.0, 0.0, 0.0, 0.3, 0.1, 0.4, 0.2, 0.1])
@@ -145,7 +145,7 @@ def errors(named: dict[str, Any]) -> dict[str, Any]:
 def swing(speed: float) -> list[Trajectory]:
     """About the stretched posture, in which table 3.10's levers are the longest."""
     away = np.array([0.0, 0.5, 0.35, 0.35, 0.2, 0.1, 0.1, 0.1, 0.1])
-    return [quintic([STRETCHED - away, STRETCHED, STRETCHED + away], velocity=speed, acceleration=4.0 * speed)]
+    return [time_path([STRETCHED - away, STRETCHED, STRETCHED + away], profile="quintic", velocity=speed)]
 
 
 def swung(arm: int, speed: float, seed: int, pushes: Sequence[Push] = ()) -> SimulatedLog:

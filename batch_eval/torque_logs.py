@@ -9,7 +9,7 @@ import numpy as np
 
 import jaxik
 from jaxik.estimation import Instruments, Push, SimulatedLog, play
-from jaxik.planning import Trajectory, quintic
+from jaxik.planning import Trajectory, time_path
 
 DT = 1e-3
 TUNED, JUDGED = range(6), range(6, 12)  # the arms on whose logs covariances are chosen, and those that figures are of
@@ -68,7 +68,7 @@ def there_and_back(direction: tuple[float, float, float], speed: float) -> list[
     moved = jaxik.follow(held, jaxik.motions.Line(start, end), 2.0, ELBOW, dt=0.02)
     q = np.asarray(moved.q)[np.linspace(0, len(moved.q) - 1, 7).astype(int)]
     limits = {"velocity": speed, "acceleration": 4.0 * speed}
-    return [quintic(q, **limits), quintic(q[::-1], **limits)]
+    return [time_path(each, profile="quintic", **limits) for each in (q, q[::-1])]
 
 
 def gauge(direction: tuple[float, float, float], stiffness: float) -> Push:

@@ -296,7 +296,7 @@ def external_torque() -> None:
     rubs = [dataclasses.replace(d.friction, coulomb=1.1 * d.friction.coulomb) for d in model.drives]
     arm = model.with_drives(dataclasses.replace(d, friction=f) for d, f in zip(model.drives, rubs, strict=True))
     middle, away = np.array([0.5, 0, 0, 0, 0.3, 0.1, 0.4, 0.2, 0.1]), np.array([0, 0.3, 0.2, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1])
-    motion = jaxik.planning.quintic([middle - away, middle + away], velocity=0.4, acceleration=2.0)
+    motion = jaxik.planning.time_path([middle - away, middle + away], profile="quintic", velocity=0.4, acceleration=2.0)
     push = estimation.Push("body4", [0.16, 0.0, -0.03], force=[20.0, 0.0, 0.0], start=1.0, end=1.5)
     sensors = estimation.Instruments(current_noise=0.05, current_step=0.01)
     log = estimation.play(arm, motion, [push], model=model, instruments=sensors, rest=(0.2, 0.2))

@@ -23,9 +23,9 @@ class Reasoned:
 class Result(Reasoned, Pytree):
     """A pytree whose arrays have the leading axis of what was asked; a single result holds the entries themselves.
 
-    `reason` holds a `Reason`, or an array of their numbers; `why` says it in words. A tuple as a field has one entry a row, and
-    `static` fields belong to all rows. `len`, iteration and indices go by rows, a single result being one row. A single result
-    is true if it is solved; what a batch's truth is must be asked of `success`.
+    `reason` holds a `Reason`, or an array of their numbers; `why` says it in words, after the place in a field `where`. A tuple
+    as a field has one entry a row, and `static` fields belong to all rows. `len`, iteration and indices go by rows, a single
+    result being one row. A single result is true if it is solved; what a batch's truth is must be asked of `success`.
     """
 
     HELP: ClassVar[Mapping[Reason, str]] = {}  # what helps where it ended for a reason
@@ -47,15 +47,16 @@ class Result(Reasoned, Pytree):
         codes = np.asarray(self.reason, int)
         if not codes.ndim:
             return self._words(Reason(int(codes)), 0)
-        if type(self)._words is Result._words:  # one text a reason
+        if type(self)._words is Result._words and not hasattr(self, "where"):  # one text a reason
             found, place = np.unique(codes, return_inverse=True)
             return np.array([self._words(Reason(code), 0) for code in found.tolist()], str)[place]
         return np.array([self._words(Reason(code), row) for row, code in enumerate(codes.tolist())], str)
 
     def _words(self, reason: Reason, row: int) -> str:
         """The words of a row. A subclass that knows more of a row than its reason says it here."""
-        mend = self.HELP.get(reason, "")
-        return f"{reason.text}; {mend}" if mend else reason.text
+        mend, where = self.HELP.get(reason, ""), getattr(self, "where", "")
+        where = where[row] if isinstance(where, tuple) else where
+        return f"{where}: " * bool(where) + reason.text + f"; {mend}" * bool(mend)
 
     def counts(self) -> dict[str, int]:
         """How many ended for each reason, by its words."""

@@ -13,7 +13,7 @@ import jaxik
 from jaxik.cli.interruption import Unsolved
 from jaxik.cli.results import check_writable, writing
 from jaxik.cli.robot_arguments import ShapedRobotArguments
-from jaxik.planning import Planned
+from jaxik.planning import PlanResult
 from jaxik.planning.trajectory_files import ENDINGS
 from jaxik.reasons import Reason
 
@@ -69,18 +69,18 @@ class PlanArguments(ShapedRobotArguments):
                 raise ValueError(f"--{name}: {count} numbers; {robot.name} has {joints}")
         options = jaxik.planning.PlanOptions(**{k: v for k, v in dataclasses.asdict(self).items() if k in names})
         began = time.perf_counter()
-        moved = jaxik.plan_motion(robot, scene, self.start, self.goal, self.seed, options)
+        moved = jaxik.plan_motion(robot, self.start, self.goal, scene=scene, seed=self.seed, options=options)
         seconds = time.perf_counter() - began
-        if moved.trajectory is None or moved.waypoints is None:
-            raise Unsolved(f"no motion in {seconds:.1f} s: {moved.why}{self._what(moved, robot, scene)}")
+        if not moved:
+            raise Unsolved(f"no motion in {seconds:.1f} s: {self._why(moved, robot, scene)}")
         with writing(self.out) as (aside, wrote):
             jaxik.planning.save_trajectory(moved.trajectory, aside, robot=robot, dt=self.dt)
         lasts, corners = moved.trajectory.duration, len(moved.waypoints) - 2
         print(f"{lasts:.2f} s around {corners} corners, planned in {seconds:.2f} s; {wrote}")
 
-    def _what(self, moved: Planned, robot: jaxik.Robot, scene: jaxik.Scene) -> str:
-        """The joint that is beyond its limits most, or the pair that collides, at the start or the goal."""
+    def _why(self, moved: PlanResult, robot: jaxik.Robot, scene: jaxik.Scene) -> str:
+        """The reason, with the joint that is beyond its limits most, or the pair that collides, at the start or the goal."""
         if moved.reason not in (Reason.LIMITS, Reason.COLLISION):
-            return ""
+            return str(moved.why)
         near = jaxik.explain(robot, scene, np.array(self.start if moved.where == "start" else self.goal), count=1)
-        return f"; {(near.limits if moved.reason == Reason.LIMITS else near.contacts)[0]}"
+        return f"{moved.where}: {moved.reason}; {(near.limits if moved.reason == Reason.LIMITS else near.contacts)[0]}"

@@ -25,8 +25,9 @@ from jaxik.harvesting.picks import Picks, Way, ends, find_picks, rows_of
 from jaxik.harvesting.tour import best_members, shortest_tour
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker, judged, touched
-from jaxik.planning.goal_postures import postures
-from jaxik.planning.planner import PlanOptions, motion_limits, plan_motion
+from jaxik.planning.goals import postures
+from jaxik.planning.limits import motion_limits
+from jaxik.planning.planner import PlanOptions, plan_motion
 from jaxik.planning.trajectory import Trajectory
 from jaxik.reasons import Reason
 
@@ -96,8 +97,9 @@ class _Planner:
         self.harvest, self.options, self.seed = harvest, options, seed
         self.robot, scene, asked = harvest.robot, harvest.scene, harvest.options
         self.around = _Surroundings(scene, options.leaves)
-        self.motion = PlanOptions(**{name: getattr(options, name) for name in ("margin", "velocity", "acceleration", "rounds")})
-        self.limits = motion_limits("plan_harvest", self.robot, self.motion)
+        limits = {"velocity": options.velocity, "acceleration": options.acceleration}
+        self.motion = PlanOptions(margin=options.margin, rounds=options.rounds, **limits)
+        self.limits = motion_limits("plan_harvest", self.robot, **limits)
         clear = max(options.margin, asked.margin)
         self.way = Way(asked.grasp, options.approach, options.candidates, options.margin, clear, self.limits)
         self.rank = _ranks(scene.marks, options.order)  # from which the shortest order is looked for, too
@@ -312,7 +314,9 @@ class _Tour:
         for scene in planner.around.each(gone):
             tries = []
             for attempt in range(ATTEMPTS):  # a search finds another way with another seed
-                moved = plan_motion(arm, scene, self.begins[a], self.ends[b], planner.seed + attempt, planner.motion)
+                moved = plan_motion(
+                    arm, self.begins[a], self.ends[b], scene=scene, seed=planner.seed + attempt, options=planner.motion
+                )
                 if moved.trajectory is None:
                     break
                 tries.append(moved.trajectory)

@@ -22,7 +22,7 @@ from jaxik.collision.scene import Mark, Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker, touched
 from jaxik.planning.limits import Limits
-from jaxik.planning.timing import time_optimal
+from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.reach.grasp import Grasp
 from jaxik.reasons import Reason
@@ -103,7 +103,7 @@ def find_picks(robot: Robot, scene: Scene, fruit: Mark, angles: np.ndarray, q: n
     if not held:
         return Picks(fruit.name, Reason.COLLISION, "retreat", blockers=_in_the_way(arm, others, found.lines[rows], way.margin))
     paths = jax.tree_util.tree_map(lambda *x: np.concatenate(x)[:most], *both)
-    there, back = (time_optimal(path, *way.limits, places=512) for path in paths)
+    there, back = (time_path(path, **way.limits._asdict(), places=512) for path in paths)
     seconds = np.asarray(there.duration + back.duration)
     none = np.zeros(len(seconds), int)
     return Picks(fruit.name, Reason.SOLVED, "", there, back, seconds, none, tuple(held[:most]))

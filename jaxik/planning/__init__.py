@@ -1,30 +1,24 @@
 """From postures to motions: paths through the space of joints, free of collision, and their timing."""
 
-from jaxik.planning.planner import Planned, PlannedMotions, PlanOptions, plan_motion, plan_motions
-from jaxik.planning.profiles import quintic, s_curve, trapezoidal
-from jaxik.planning.timing import time_optimal
+from jaxik.planning.planner import PlanOptions, PlanResult, plan_motion
+from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.planning.trajectory_files import load_trajectory, save_trajectory
-from jaxik.planning.trajectory_optimiser import OptimisedTrajectory, optimise_trajectory
-from jaxik.planning.trajectory_options import TrajectoryOptions
+from jaxik.planning.trajectory_optimiser import TrajectoryResult, optimise_trajectory
 from jaxik.planning.trajectory_sensitivity import trajectory_cost
+from jaxik.planning.trajectory_terms import TrajectoryOptions
 
 __all__ = [
     "JointPath",
-    "OptimisedTrajectory",
     "PlanOptions",
-    "Planned",
-    "PlannedMotions",
+    "PlanResult",
     "Trajectory",
     "TrajectoryOptions",
+    "TrajectoryResult",
     "load_trajectory",
     "optimise_trajectory",
     "plan_motion",
-    "plan_motions",
-    "quintic",
-    "s_curve",
     "save_trajectory",
-    "time_optimal",
+    "time_path",
     "trajectory_cost",
-    "trapezoidal",
 ]

@@ -1,6 +1,17 @@
 """Profiles over time that are known in closed form: from waypoint to waypoint, all joints at once, within their limits.
 
-What they give are a `Trajectory`'s polynomials of time itself, which stands for the way along the path.
+"trapezoidal" is straight from each waypoint to the next, at rest at each: a constant acceleration, a constant velocity and a
+constant deceleration, the fastest that the limits allow. "s_curve" has a limit of the jerk, too: the acceleration rises and
+falls linearly, in seven phases [Biagiotti and Melchiorri, Trajectory Planning for Automatic Machines and Robots, 2008,
+sec. 3.4].
+
+"quintic" passes the waypoints without a stop: polynomials of fifth degree in time, at rest and without acceleration at both
+ends, with four continuous derivatives; of all motions that have these times at the waypoints the one with the least integral of
+jerk squared. Between two waypoints it is `10 x^3 - 15 x^4 + 6 x^5`. Each line is given the time that its slowest joint needs,
+and all of them are drawn out until the limits are kept at every moment. Between waypoints the way is curved, and may leave the
+joints' range. By SciPy.
+
+All give a `Trajectory` with polynomials of time itself, which stands for the way along the path.
 """
 
 from __future__ import annotations
@@ -13,59 +24,53 @@ import numpy as np
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import shown
-from jaxik.planning.limits import limit_of, limits_of
+from jaxik.planning.limits import Limits, limit_of
 from jaxik.planning.trajectory import JointPath, Trajectory
 
 
-def trapezoidal(waypoints: Any, velocity: Any, acceleration: Any, duration: Any = None) -> Trajectory:
-    """Straight from each of the waypoints (k, n) [rad, m] to the next, k >= 2, at rest at each: a constant acceleration, a
-    constant velocity and a constant deceleration, the fastest that keep `velocity` and `acceleration` (n,) or one number
-    [rad, m and s]. All joints begin and end together. Host.
+def stacked(waypoints: Any) -> tuple[np.ndarray, bool]:
+    """Waypoints (N, k, n), a row with NaN being NaN throughout, and whether it was one motion (k, n)."""
+    points = numbers("time_path: waypoints", waypoints)
+    if points.ndim not in (2, 3) or points.shape[-2] < 2 or not points.shape[-1]:
+        raise ValueError(f"time_path: waypoints of shape {points.shape}; allowed: (k, n), k >= 2, or a stack (N, k, n)")
+    single = points.ndim == 2
+    points = points[None] if single else points
+    return np.where(np.isfinite(points).all(axis=(1, 2), keepdims=True), points, np.nan), single
 
-    The limits are the same in both directions; a velocity may be infinite. Stacks of waypoints (N, k, n), and rows (N, n) of
-    limits, are timed together. A `duration` () or (N,) [s] slows the whole motion down evenly; where all waypoints are equal,
-    it stands still for so long. Waypoints with NaN have a timing of NaN.
 
-    Raises `ValueError` for arrays of another shape, limits that are not positive, and a duration that is not positive, or
-    shorter than the limits allow.
+def profiled(profile: str, points: np.ndarray, limits: Limits, jerk: Any, duration: Any, single: bool) -> Trajectory:
+    """A profile through waypoints (N, k, n) within limits (N, n), the `jerk` (n,) or one number; of one motion the row itself.
+
+    Raises `ValueError` for a jerk and a duration that are not positive or of another shape, a duration that is shorter than the
+    limits allow, and for waypoints of a quintic that are equal to the one before, unless all are.
     """
-    return _from_rest_to_rest("trapezoidal", waypoints, velocity, acceleration, np.inf, duration)
+    three = [*limits, limit_of("time_path", "jerk", jerk, points.shape[::2])]
+    asked = None if duration is None else numbers("time_path: duration", duration)
+    if asked is not None:
+        if asked.shape not in ((), () if single else (len(points),)) or not (np.isfinite(asked) & (asked > 0.0)).all():
+            allowed = "one number" if single else f"one number or ({len(points)},)"
+            raise ValueError(f"time_path: duration is {shown(duration)}; allowed: {allowed} [s], above zero")
+        asked = np.broadcast_to(asked, len(points))
+    make = _quintic if profile == "quintic" else _from_rest_to_rest
+    return _trajectory(*make(points, three, single), asked, single)
 
 
-def s_curve(waypoints: Any, velocity: Any, acceleration: Any, jerk: Any, duration: Any = None) -> Trajectory:
-    """`trapezoidal` with a limit of the `jerk`, too, (n,) or one number [rad, m and s]: the acceleration rises and falls
-    linearly, in seven phases. Host.
-
-    Raises likewise. Source: Biagiotti and Melchiorri, Trajectory Planning for Automatic Machines and Robots, 2008, sec. 3.4.
-    """
-    return _from_rest_to_rest("s_curve", waypoints, velocity, acceleration, jerk, duration)
-
-
-def quintic(waypoints: Any, velocity: Any, acceleration: Any, jerk: Any = np.inf, duration: Any = None) -> Trajectory:
-    """Through waypoints (k, n) [rad, m] without a stop: polynomials of fifth degree in time, at rest and without acceleration
-    at both ends, with four continuous derivatives; of all motions that have these times at the waypoints the one with the
-    least integral of jerk squared. Between two waypoints it is `10 x^3 - 15 x^4 + 6 x^5`. By SciPy. Host.
-
-    Each line is given the time that its slowest joint needs, and all of them are drawn out until the limits are kept at every
-    moment. Between waypoints the way is curved, and may leave the joints' range. Arguments are those of `trapezoidal`.
-
-    Raises `ValueError` as it does, and for waypoints that are equal to the one before, unless all are.
-    """
-    points, limits, asked, single = _checked("quintic", waypoints, velocity, acceleration, jerk, duration)
+def _quintic(points: np.ndarray, limits: list[np.ndarray], single: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Polynomials (N, k-1, 6, n) over times (N, k-1), and by what these must be multiplied (N,)."""
     steps = np.abs(np.diff(points, axis=1))
     needs = np.max([(steps / limit[:, None]) ** (1.0 / order) for order, limit in enumerate(limits, 1)], axis=(0, -1))
     moves = needs.any(axis=1)
     if (equal := (needs == 0.0) & moves[:, None]).any():
         row, same = np.argwhere(equal)[0]
         where = "" if single else f" of row {row}"
-        raise ValueError(f"quintic: waypoints {same} and {same + 1}{where} are equal; leave one out")
+        raise ValueError(f"time_path: waypoints {same} and {same + 1}{where} are equal; leave one out")
     known = np.isfinite(needs).all(axis=1)
     times, slower = np.where(needs > 0.0, needs, 1.0), np.where(known, 0.0, np.nan)
     curves = np.zeros((*times.shape, 6, points.shape[-1]))
     curves[..., -1, :] = points[:, :-1]
     for i in np.flatnonzero(moves & known):
         curves[i], slower[i] = _smoothest(times[i], points[i], [limit[i] for limit in limits])
-    return _trajectory("quintic", curves, times, slower, asked, single)
+    return curves, times, slower
 
 
 def _smoothest(times: np.ndarray, points: np.ndarray, limits: list[np.ndarray]) -> tuple[np.ndarray, float]:
@@ -87,8 +92,8 @@ def _smoothest(times: np.ndarray, points: np.ndarray, limits: list[np.ndarray]) 
     return np.moveaxis(pieces, 0, 1), slower
 
 
-def _from_rest_to_rest(who: str, waypoints: Any, velocity: Any, acceleration: Any, jerk: Any, duration: Any) -> Trajectory:
-    points, limits, asked, single = _checked(who, waypoints, velocity, acceleration, jerk, duration)
+def _from_rest_to_rest(points: np.ndarray, limits: list[np.ndarray], single: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cubics (N, 7 (k-1), 4, n) over the seven phases (N, 7 (k-1)) of each line, which are not to be drawn out."""
     steps = np.diff(points, axis=1)[:, :, None, None]  # (N, lines, 1, 1, n)
     with np.errstate(divide="ignore"):  # a joint that does not move has nothing to say
         most = [np.min(limit[:, None] / np.abs(steps[:, :, 0, 0]), axis=-1) for limit in limits]
@@ -96,13 +101,11 @@ def _from_rest_to_rest(who: str, waypoints: Any, velocity: Any, acceleration: An
     curves = _integrated(phases, greatest)[..., None] * steps
     curves[..., -1, :] += points[:, :-1, None]
     pieces = len(points), 7 * (points.shape[1] - 1)
-    return _trajectory(
-        who, curves.reshape(*pieces, 4, points.shape[2]), phases.reshape(pieces), np.ones(len(points)), asked, single
-    )
+    return curves.reshape(*pieces, 4, points.shape[2]), phases.reshape(pieces), np.ones(len(points))
 
 
 def _double_s(velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How long the seven phases from 0 to 1 last (..., 7), and the greatest acceleration (...): where the velocity is reached,
+    """The times of the seven phases from 0 to 1 (..., 7), and the greatest acceleration (...), where the velocity is reached,
     and where the way is too short for that. An infinite jerk makes a trapezoid; infinite accelerations take no time."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         ramp_fast = np.fmin(acceleration / jerk, np.sqrt(velocity / jerk))
@@ -132,29 +135,8 @@ def _integrated(phases: np.ndarray, greatest: np.ndarray) -> np.ndarray:
     return np.stack([jerk / 6.0, acceleration / 2.0, velocity, place], axis=-1)
 
 
-def _checked(
-    who: str, waypoints: Any, velocity: Any, acceleration: Any, jerk: Any, duration: Any
-) -> tuple[np.ndarray, list[np.ndarray], np.ndarray | None, bool]:
-    """Waypoints (N, k, n), three limits (N, n), the duration (N,) that is asked for, and whether it was one motion."""
-    points = numbers(f"{who}: waypoints", waypoints)
-    if points.ndim not in (2, 3) or points.shape[-2] < 2 or not points.shape[-1]:
-        raise ValueError(f"{who}: waypoints of shape {points.shape}; allowed: (k, n), k >= 2, or a stack (N, k, n)")
-    single = points.ndim == 2
-    points = points[None] if single else points
-    points = np.where(np.isfinite(points).all(axis=(1, 2), keepdims=True), points, np.nan)
-    shape = len(points), points.shape[-1]
-    limits = [*limits_of(who, velocity, acceleration, shape), limit_of(who, "jerk", jerk, shape)]
-    if duration is None:
-        return points, limits, None, single
-    asked = numbers(f"{who}: duration", duration)
-    if asked.shape not in ((), () if single else (len(points),)) or not (np.isfinite(asked) & (asked > 0.0)).all():
-        allowed = "one number" if single else f"one number or ({len(points)},)"
-        raise ValueError(f"{who}: duration is {shown(duration)}; allowed: {allowed} [s], above zero")
-    return points, limits, np.broadcast_to(asked, len(points)), single
-
-
 def _trajectory(
-    who: str, curves: np.ndarray, times: np.ndarray, slower: np.ndarray, asked: np.ndarray | None, single: bool
+    curves: np.ndarray, times: np.ndarray, slower: np.ndarray, asked: np.ndarray | None, single: bool
 ) -> Trajectory:
     """Polynomials (N, p, d, n) over `times` (N, p), all drawn out by `slower` (N,), and so long as is asked for."""
     whole = times.sum(axis=1)
@@ -163,7 +145,7 @@ def _trajectory(
         if (short := asked < least * (1.0 - 1e-12)).any():
             row = int(np.argmax(short))
             where = "" if single else f" of row {row}"
-            raise ValueError(f"{who}: duration {asked[row]:g} s{where}; these limits take {least[row]:.6g} s or more")
+            raise ValueError(f"time_path: duration {asked[row]:g} s{where}; these limits take {least[row]:.6g} s or more")
         lasts = np.where(np.isnan(least), np.nan, asked)
     still = least == 0.0
     scale = np.divide(lasts, whole, out=np.ones_like(lasts), where=~still)

@@ -45,12 +45,7 @@ class JointPath(Pytree):
 
         A waypoint that is equal to the one before adds a piece of no length. Raises `ValueError` for another shape, and NaN.
         """
-        points = _waypoints("polyline", waypoints)
-        steps = np.diff(points, axis=0)
-        lengths = np.linalg.norm(steps, axis=1)
-        slope = np.divide(steps, lengths[:, None], out=np.zeros_like(steps), where=lengths[:, None] > 0.0)
-        none = np.zeros_like(steps)
-        return cls(lengths, np.stack([none, none, slope, points[:-1]], axis=1))
+        return straight(_waypoints("polyline", waypoints))
 
     @classmethod
     def spline(cls, waypoints: Any) -> JointPath:
@@ -185,6 +180,15 @@ def _state(xp: Any, moved: Any, t: Any) -> tuple[Any, Any, Any]:
     q, slope, bend = _within(xp, moved.path, piece, way)
     now, rate = (xp.where((t < time[0]) | (t > time[-1]), 0.0, x)[..., None] for x in (speed[i] + rate * since, rate))
     return q, slope * now, bend * now**2 + slope * rate
+
+
+def straight(points: np.ndarray) -> JointPath:
+    """Straight lines between waypoints (..., k, n)."""
+    steps = np.diff(points, axis=-2)
+    lengths = np.linalg.norm(steps, axis=-1)
+    slope = np.divide(steps, lengths[..., None], out=np.zeros_like(steps), where=lengths[..., None] > 0.0)
+    none = np.zeros_like(steps)
+    return JointPath(lengths, np.stack([none, none, slope, points[..., :-1, :]], axis=-2))
 
 
 def _waypoints(maker: str, given: Any) -> np.ndarray:

@@ -1,15 +1,13 @@
-"""Whether motions keep what they must, between knots too: limits, targets, and a distance to obstacles."""
+"""Whether motions keep their limits, targets, and distance to obstacles, between knots too."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from jaxik.collision.clearances import has_geometry
 from jaxik.optimise import collocation, splines
 from jaxik.planning import torque_limits
 from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker, judged
 from jaxik.planning.trajectory import along_pieces
-from jaxik.planning.trajectory_options import TrajectoryOptions
 from jaxik.planning.trajectory_terms import Terms
 from jaxik.reasons import Reason
 
@@ -19,18 +17,18 @@ BETWEEN = np.linspace(0.0, 1.0, 5)  # of a span, where torques are judged
 
 
 class Judge:
-    """Of motions given by control points (b, N + degree, n) over N equal spans. What a robot without shapes hits is not known:
-    `space` is None then."""
+    """Judges motions given by control points (b, N + degree, n) over N equal spans. `space` is None where nothing is looked at
+    that may be hit."""
 
-    def __init__(self, terms: Terms, options: TrajectoryOptions):
-        self.robot, self.terms, self.options = terms.robot, terms, options
-        margin, seen = options.margin or 0.0, has_geometry(terms.robot)
+    def __init__(self, terms: Terms):
+        self.robot, self.terms, self.options = terms.robot, terms, terms.options
+        margin, seen = self.options.kept_margin or 0.0, self.options.collision is not False
         self.space = CollisionChecker(terms.robot, terms.scene, margin) if seen else None
 
     def postures(self, q: np.ndarray) -> np.ndarray:
         """The reason of each posture (b, n) at which a motion is to begin or end, LIMITS too where the drives cannot hold the
         arm; without a margin it may collide."""
-        verdict, may_collide = judged(self.robot, self.space, q), self.options.margin is None
+        verdict, may_collide = judged(self.robot, self.space, q), self.options.kept_margin is None
         verdict = np.where(may_collide & (verdict == Reason.COLLISION), int(Reason.SOLVED), verdict)
         return np.where((verdict == Reason.SOLVED) & ~self.holds(q), int(Reason.LIMITS), verdict)
 
@@ -49,7 +47,7 @@ class Judge:
             value = splines.applied(row.stencil, found.points)
             over = np.maximum(over, np.maximum(row.low - value, value - row.high).max(axis=(1, 2)))
         over = np.maximum(over, self.loaded(found.points).max(axis=1) - 1.0)
-        if self.options.degree == 2 and self.options.margin is not None:
+        if self.options.degree == 2 and self.options.kept_margin is not None:
             value = splines.turning_values(found.points)
             over = np.maximum(over, np.maximum(self.robot.lower - value, value - self.robot.upper).max(axis=(1, 2)))
         broken = np.where(over > BROKEN, int(Reason.LIMITS), int(Reason.SOLVED))
@@ -70,7 +68,7 @@ class Judge:
         return [x.reshape(len(points), -1, points.shape[2]) for x in found]
 
     def short(self, points: np.ndarray) -> np.ndarray:
-        """By how much each span (b, N) comes too near to be proven free [m]; 0 where it is, and of what has no shapes."""
+        """The amount by which each span (b, N) comes too near to be proven free [m]; 0 where it is, or nothing is looked at."""
         if self.space is None:
             return np.zeros((len(points), points.shape[1] - self.options.degree))
         degree, spans = self.options.degree, points.shape[1] - self.options.degree
@@ -103,7 +101,7 @@ class Judge:
 
 
 def _proven(space: CollisionChecker, curve: np.ndarray, span: float, parts: int, resolution: float) -> np.ndarray:
-    """Which pieces (m, 4, n) are proven free by so many chords: a piece is at most `h^2 / 8 max |q''|` from one in a
+    """Whether pieces (m, 4, n) are proven free by so many chords: a piece is at most `h^2 / 8 max |q''|` from one in a
     joint."""
     q = _along(curve, span, parts)
     bend = np.maximum(np.abs(2.0 * curve[:, 1]), np.abs(6.0 * curve[:, 0] * span + 2.0 * curve[:, 1]))

@@ -12,40 +12,38 @@ them, and where it is not, it is mended with wider margins and finer steps, or b
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxik.checks.arrays import check_known, is_rigid, numbers, rigid_frame
-from jaxik.checks.options import changed, check_finite, check_kind, check_seed, shown
-from jaxik.collision.clearances import check_geometry, has_geometry
+from jaxik.checks.arrays import check_known, numbers, rigid_frame
+from jaxik.checks.options import check_finite, check_kind, check_seed, shown
+from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.optimise import splines
-from jaxik.planning.planner import turned
+from jaxik.planning.goals import HELP, ends, turned
 from jaxik.planning.trajectory import JointPath, Trajectory
-from jaxik.planning.trajectory_options import TrajectoryOptions
 from jaxik.planning.trajectory_search import Search, Solved, finer
-from jaxik.planning.trajectory_terms import Target, at_knot, told_apart
-from jaxik.reasons import Reason, Reasoned
+from jaxik.planning.trajectory_terms import Target, TrajectoryOptions, at_knot, told_apart
+from jaxik.reasons import Reason
+from jaxik.results import Result, by_row
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class OptimisedTrajectory(Reasoned):
-    """What became of each motion, of a batch with a leading axis: the reason, and the trajectory, NaN where there is none.
+class TrajectoryResult(Result):
+    """The motion of least cost; many motions have a leading axis. The numbers of one that was not found are NaN.
 
-    `cost` is the integral that was minimised, `parts` of it those of velocity, acceleration, jerk and collision; `iterations`
-    of the solver, with few spans and with all; `converged`, whether it came to rest there: a motion that did not is kept all
-    the same if it is free and inside its limits. `multipliers` (j, m) are the cost's slopes by what the targets ask, and
-    `pressure` (spans + 1, l) by the margins.
+    where: "start" or "goal" where one of them is refused, else "".
+    cost, parts (4,): the integral that was minimised, and its parts by velocity, acceleration, jerk and collision.
+    iterations: of the solver, with few spans and with all.
+    converged: whether the solver came to rest; a motion that is free and inside its limits is kept even if it did not.
+    multipliers (j, m), pressure (spans + 1, l): the cost's slopes by the targets, and by the margins.
     """
 
     reason: Int[np.ndarray, "*b"]
+    where: Any = by_row()
     trajectory: Trajectory
     cost: Float[np.ndarray, "*b"]
     parts: Float[np.ndarray, "*b 4"]
@@ -53,72 +51,57 @@ class OptimisedTrajectory(Reasoned):
     converged: Bool[np.ndarray, "*b"]
     multipliers: Float[np.ndarray, "*b j m"]
     pressure: Float[np.ndarray, "*b k l"]
+    ROW: ClassVar = "motion"
+    HELP: ClassVar = HELP | {Reason.NOT_CONVERGED: "more spans, a guess or a smaller margin may help"}
 
 
 def optimise_trajectory(
     robot: Robot,
-    scene: Scene | None,
     start: Any,
     goal: Any,
+    *,
+    scene: Scene | None = None,
     guess: Any = None,
     via: Sequence[tuple[float, Any]] = (),
     seed: int = 0,
     options: TrajectoryOptions | None = None,
+    progress: Callable[[int, int], Any] | None = None,
     **changes: Any,
-) -> OptimisedTrajectory:
+) -> TrajectoryResult:
     """The motion of least cost from `start` to `goal`, at rest at both, that keeps clear and inside the limits. Host driver.
 
-    `start` is a configuration (n,), `goal` one (n,) or a pose `base_T_tip` (4, 4) [m]; a batch has rows of either or both. Of a
-    pose the posture is free, and is optimised, too. `guess` (k, n) or (b, k, n) are configurations in equal times, from which
-    to begin; without one, straight lines to several postures are compared. A joint without limits takes the shorter turn to
-    the goal, or that of the guess. `via` are pairs of a share of the duration, of which the nearest end of one of the `spans`
-    is meant, and a pose that the tip has there. `seed` decides among postures and in the planner. `changes` are fields of
+    `start`, `goal` and batches of them are those of `plan_motion`: configurations, of several the one that costs least, or
+    poses `base_T_tip` [m], whose posture is free, and is optimised, too. `guess` (k, n) or (b, k, n) are configurations in
+    equal times, from which to begin; without one, straight lines to several postures are compared. A joint without limits
+    takes the shorter turn to the goal, or that of the guess. `via` are pairs of a share of the duration, of which the nearest
+    end of one of the `spans` is meant, and a pose that the tip has there. `seed` decides among postures and in the planner.
+    `progress` is called with the motions that are solved or refused, and the number of all. `changes` are fields of
     `TrajectoryOptions`.
 
-    Reasons: SOLVED, proven free between samples too, unless `margin` is None; INVALID, NaN; LIMITS, of the start or the goal,
-    where their joints' range or a `torque` that does not hold the arm there is meant, or of velocities, accelerations, torque
-    and power in the time given; COLLISION, likewise, or where obstacles only cost, of the best motion; OUT_OF_REACH and
-    others of `solve_ik` for a pose; NOT_CONVERGED. A robot without collision geometry is taken with `margin` None and no
-    `collision_weight`; what it hits is not known.
+    Reasons: SOLVED, proven free between samples too, unless obstacles only cost, or are not looked at; INVALID, NaN; LIMITS, of
+    the start or the goal, where their joints' range or a `torque` that does not hold the arm there is meant, or of velocities,
+    accelerations, torque and power in the time given; COLLISION, likewise, or where obstacles only cost, of the best motion;
+    OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED. A robot without collision geometry is taken with
+    `collision=False`.
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Sources: Schuetz 2017, ch. 6; Zucker et al. 2013.
     """
     check_kind("optimise_trajectory", "robot", robot, Robot)
     check_kind("optimise_trajectory", "scene", scene, Scene, optional=True)
-    check_kind("optimise_trajectory", "options", options, TrajectoryOptions, optional=True)
     check_seed("optimise_trajectory", seed)
-    check_known("optimise_trajectory", start=start, goal=goal, guess=guess)
-    options = changed("optimise_trajectory", options or TrajectoryOptions(), changes)
-    if options.needs_geometry or has_geometry(robot):
+    check_known("optimise_trajectory", guess=guess)
+    options = TrajectoryOptions.chosen(options, changes)
+    if options.collision is not False:
         check_geometry(robot)
-    starts, goals, poses, single = _problems(robot, start, goal)
-    begin = _guess(robot, guess, len(starts))
-    if goals is not None:
-        goals = turned(robot, (starts if begin is None else begin[:, -1])[:, None], goals[:, None])[:, 0]
-    search = Search(robot, scene, starts, goals, poses, _targets(via, len(starts), options), seed, options)
+    elif scene is not None:
+        raise ValueError("optimise_trajectory: a scene with collision=False, which looks at no obstacle; leave one of them out")
+    asked = ends("optimise_trajectory", robot, start, goal)
+    begin = _guess(robot, guess, len(asked.starts))
+    if asked.poses is None:
+        asked = asked._replace(goals=turned(robot, asked.starts if begin is None else begin[:, -1], asked.goals))
+    search = Search(robot, scene, asked, _targets(via, len(asked.starts), options), seed, options, progress)
     found = _packed(search, search.run(begin))
-    return found if not single else jax.tree_util.tree_map(lambda x: x[0], found)
-
-
-def _problems(robot: Robot, start: Any, goal: Any) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None, bool]:
-    """Starts (b, n); goals (b, n) or poses (b, 4, 4), the other is None; and whether it is one problem."""
-    n = robot.num_joints
-    starts, goals = numbers("optimise_trajectory: start", start), numbers("optimise_trajectory: goal", goal)
-    starts, goals = (np.zeros((0, n)) if x.shape == (0,) else x for x in (starts, goals))  # no rows are a batch of none
-    pose = goals.shape[-2:] == (4, 4) and (goals.ndim == 3 or n != 4 or bool(is_rigid(goals)))
-    each = (4, 4) if pose else (n,)
-    rows = goals.ndim - len(each)
-    if starts.ndim not in (1, 2) or starts.shape[-1:] != (n,) or rows not in (0, 1) or goals.shape[rows:] != each:
-        raise ValueError(
-            f"optimise_trajectory: start of shape {starts.shape}, goal of shape {goals.shape}; "
-            f"allowed: ({n},) and ({n},) or a pose (4, 4), and rows (b, ...) of either"
-        )
-    counts = [len(x) for x, many in ((starts, starts.ndim == 2), (goals, rows == 1)) if many]
-    if len(set(counts)) > 1:
-        raise ValueError(f"optimise_trajectory: {counts[0]} starts, {counts[1]} goals; allowed: as many, or one of either")
-    count = counts[0] if counts else 1
-    starts, goals = np.broadcast_to(starts, (count, n)), np.broadcast_to(goals, (count, *each))
-    return starts, None if pose else goals, goals if pose else None, not counts
+    return found[0] if asked.single else found
 
 
 def _targets(via: Any, count: int, options: TrajectoryOptions) -> tuple[Target, ...]:
@@ -152,8 +135,8 @@ def _guess(robot: Robot, guess: Any, count: int) -> np.ndarray | None:
     return np.broadcast_to(given, (count, *given.shape[-2:]))
 
 
-def _packed(search: Search, kept: list[Solved]) -> OptimisedTrajectory:
-    """A row a problem, all over as many spans as the finest needs."""
+def _packed(search: Search, kept: list[Solved]) -> TrajectoryResult:
+    """Packs the motions, a row a problem, all over as many spans as the finest needs."""
     terms, options, reason = search.terms, search.options, search.reason
     count, n, degree = len(search.starts), search.robot.num_joints, options.degree
     kept = [(rows, found) for rows, found in kept if len(rows)]
@@ -175,13 +158,12 @@ def _packed(search: Search, kept: list[Solved]) -> OptimisedTrajectory:
     duration = np.full(count, terms.duration) if options.duration is not None else search.judge.shortest(points, spans)
     weak = np.isnan(duration) & ~np.isnan(cost)  # the drives cannot hold the arm on the way
     reason[weak], points[weak] = int(Reason.LIMITS), np.nan
-    return OptimisedTrajectory(
-        reason, _timed(points, degree, duration), cost, parts, iterations, converged, multipliers, pressure
-    )
+    trajectory = _timed(points, degree, duration)
+    return TrajectoryResult(reason, tuple(search.where), trajectory, cost, parts, iterations, converged, multipliers, pressure)
 
 
 def _timed(points: np.ndarray, degree: int, duration: np.ndarray) -> Trajectory:
-    """Motions (b, M, n) that take so long (b,), each over all of it."""
+    """The trajectories of motions (b, M, n), each over its whole duration (b,)."""
     spans = points.shape[1] - degree
     curve = splines.pieces(points, degree, 1.0)
     span = duration / spans
@@ -192,7 +174,7 @@ def _timed(points: np.ndarray, degree: int, duration: np.ndarray) -> Trajectory:
 
 
 def _powers(span: np.ndarray) -> np.ndarray:
-    """Those of spans some of which are zero: of motions that stand still."""
+    """Powers of spans some of which are zero, in motions that stand still."""
     with np.errstate(divide="ignore"):
         found = span[:, None] ** np.array([-3.0, -2.0, -1.0, 0.0])
     return np.where(span[:, None] == 0.0, [0.0, 0.0, 0.0, 1.0], found)

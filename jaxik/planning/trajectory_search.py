@@ -1,8 +1,10 @@
-"""From problems to motions: where to begin, which beginning is best, and a motion that is proven free of it."""
+"""The search for motions: where to begin, which beginning is best, and a motion that is proven free of it."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import numpy as np
@@ -12,10 +14,10 @@ from jaxik.ik import IKOptions, solve_ik
 from jaxik.kinematics.robot import Robot
 from jaxik.optimise import collocation, splines
 from jaxik.planning.collision_checker import CollisionChecker
-from jaxik.planning.planner import PlanOptions, plan_motions
+from jaxik.planning.goals import Ends
+from jaxik.planning.planner import PlanOptions, plan_motion
 from jaxik.planning.trajectory_judge import BROKEN, CUSHION, Judge
-from jaxik.planning.trajectory_options import TrajectoryOptions
-from jaxik.planning.trajectory_terms import Target, told_apart
+from jaxik.planning.trajectory_terms import Target, TrajectoryOptions, told_apart
 from jaxik.reasons import Reason
 
 MENDS = 4  # rounds in which a motion that is not proven free is mended, the last ones with finer spans
@@ -28,25 +30,26 @@ Solved = tuple[np.ndarray, collocation.Found]  # the numbers (s,) of problems, a
 
 
 class Search:
-    """From problems to motions: seeds, their best, and whether it is free."""
+    """Finds the motions of problems: seeds, their best, and whether it is free. `reason` (b,) and `where` tell what became of
+    each."""
 
     def __init__(
         self,
         robot: Robot,
         scene: Scene | None,
-        starts: np.ndarray,
-        goals: np.ndarray | None,
-        poses: np.ndarray | None,
+        asked: Ends,
         via: tuple[Target, ...],
         seed: int,
         options: TrajectoryOptions,
+        progress: Callable[[int, int], Any] | None,
     ):
-        self.robot, self.scene, self.starts, self.goals, self.seed, self.options = robot, scene, starts, goals, seed, options
-        self.targets = via if poses is None else (*via, Target(1.0, poses, options.task))
-        self.poses, self.terms = poses, options.terms(robot, scene)
+        self.robot, self.scene, self.seed, self.options, self.progress = robot, scene, seed, options, progress
+        self.starts, self.goals, self.poses, _ = asked
+        self.targets = via if self.poses is None else (*via, Target(1.0, self.poses, options.task))
+        self.terms = options.terms(robot, scene)
         self.soft = self.terms.softened()
-        self.judge = Judge(self.terms, options)
-        self.reason = np.full(len(starts), int(Reason.NOT_CONVERGED))
+        self.judge = Judge(self.terms)
+        self.reason, self.where = np.full(len(self.starts), int(Reason.NOT_CONVERGED)), np.full(len(self.starts), "", object)
         self.levels = [options.spans]
         while self.levels[0] % 2 == 0 and self.levels[0] // 2 >= FEWEST and told_apart(via, self.levels[0] // 2):
             self.levels.insert(0, self.levels[0] // 2)
@@ -54,7 +57,8 @@ class Search:
 
     def run(self, guess: np.ndarray | None) -> list[Solved]:
         """The best motion of each problem that has one; the others' `reason` says why."""
-        rows, ends = self._ends(self._judged())
+        rows, ends = self._ends(self._started())
+        self.tell()
         if guess is None:
             samples = splines.ramp(self.starts[rows], ends, 4 * self.levels[0] + 1)
         else:
@@ -64,9 +68,16 @@ class Search:
                 samples[:, -1] = ends
         kept = self._tried(rows, samples)
         left, space = self.reason[rows] != Reason.SOLVED, self.judge.space
-        if self.options.rounds and self.options.margin is not None and space is not None and left.any():
+        if self.options.rounds and self.options.kept_margin is not None and space is not None and left.any():
             kept += self._held(*self._planned(space, rows[left], ends[left]))
+        if self.progress is not None:
+            self.progress(len(self.starts), len(self.starts))
         return kept
+
+    def tell(self) -> None:
+        """Calls `progress` with the problems that are solved or refused."""
+        if self.progress is not None:
+            self.progress(int(np.sum(self.reason != Reason.NOT_CONVERGED)), len(self.starts))
 
     def _tried(self, rows: np.ndarray, samples: np.ndarray) -> list[Solved]:
         """Motions from samples (s, k, n) for problems `rows` (s,), of each problem from its best ones first."""
@@ -78,54 +89,63 @@ class Search:
                 if pick.any():
                     first = jax.tree_util.tree_map(lambda x: x[pick], found)  # noqa: B023
                     kept.append(self._freed(rows[pick], self._refined(rows[pick], first)))
+                    self.tell()
         return kept
 
     # ----------------------------------------------------------------------------------------------------------------
     # Where motions begin
 
-    def _judged(self) -> np.ndarray:
-        """The problems whose start, and goal where it is a configuration, will do."""
-        open_ = np.ones(len(self.starts), bool)
-        for postures in (self.starts, self.goals):
-            if postures is None or not len(postures):
-                continue
-            verdict = self.judge.postures(postures)
-            self.reason = np.where(open_ & (verdict != Reason.SOLVED), verdict, self.reason)
-            open_ &= verdict == Reason.SOLVED
-        return np.flatnonzero(open_)
+    def _started(self) -> np.ndarray:
+        """The problems whose start will do."""
+        verdict = self.judge.postures(self.starts)
+        self._refuse(np.arange(len(verdict)), verdict, "start")
+        return np.flatnonzero(verdict == Reason.SOLVED)
+
+    def _refuse(self, rows: np.ndarray, verdict: Any, where: str) -> None:
+        """Notes the verdicts of problems that are refused at their start or goal."""
+        refused = np.asarray(verdict) != Reason.SOLVED
+        self.reason[rows[refused]], self.where[rows[refused]] = np.asarray(verdict)[refused], where
 
     def _ends(self, open_: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Problems (s,), as often as there are postures (s, n) to end in."""
-        if self.poses is None or not len(open_):
-            return open_, self.starts[:0] if self.goals is None else self.goals[open_]
+        if self.poses is None:
+            goals = self.goals[open_]
+            verdict = self.judge.postures(goals.reshape(-1, goals.shape[2])).reshape(goals.shape[:2])
+            free = verdict == Reason.SOLVED
+            furthest = np.where(verdict == Reason.INVALID, -1, verdict).max(axis=1, initial=-1)
+            refused = np.where(furthest < 0, int(Reason.INVALID), furthest)
+            self._refuse(open_, np.where(free.any(axis=1), int(Reason.SOLVED), refused), "goal")
+            return np.repeat(open_, free.sum(axis=1)), goals[free]
+        if not len(open_):
+            return open_, self.starts[:0]
         asked = IKOptions(
             task=self.options.task,
-            margin=self.options.margin or 0.0,
+            margin=self.options.kept_margin or 0.0,
             solutions=self.options.postures,
             choice="closest",
             reference=self.starts[open_],
             collision=False if self.judge.space is None else "constraint",
         )
-        scene = None if self.judge.space is None else self.scene
-        found = solve_ik(self.robot, self.poses[open_], scene=scene, seed=self.seed, options=asked)
-        self.reason[open_] = np.where(found.success, int(Reason.NOT_CONVERGED), found.reason)
+        found = solve_ik(self.robot, self.poses[open_], scene=self.scene, seed=self.seed, options=asked)
+        self._refuse(open_, found.reason, "goal")
         counts = np.asarray(found.num_solutions)
         each = np.arange(self.options.postures) < counts[:, None]
         rows, ends = np.repeat(open_, counts), np.asarray(found.solutions, np.float64)[each]
         held = self.judge.holds(ends)
-        self.reason[np.setdiff1d(rows, rows[held])] = Reason.LIMITS
+        weak = np.setdiff1d(rows, rows[held])
+        self._refuse(weak, np.full(len(weak), int(Reason.LIMITS)), "goal")
         return rows[held], ends[held]
 
     def _planned(self, space: CollisionChecker, rows: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of problems, each as often as it has postures to end in: those that a planner finds a way for, and samples along it,
-        in equal parts of it, at rest at its ends."""
+        """Plans ways for problems, each as often as it has postures to end in. Returns those that have one, and samples along
+        it, at rest at its ends."""
         open_, each = np.unique(rows, return_inverse=True)
         place = _ranks(rows, np.zeros(len(rows)), np.zeros(len(rows)))
         goals = np.full((len(open_), place.max() + 1, ends.shape[1]), np.nan)
         goals[each, place] = ends
-        options = PlanOptions(self.options.margin or 0.0, velocity=1.0, acceleration=1.0, rounds=int(self.options.rounds))
-        found = plan_motions(self.robot, self.scene, self.starts[open_], goals, self.seed, options)
-        ways = {i: moved.waypoints for i, moved in zip(open_, found, strict=True) if moved.waypoints is not None}
+        how = PlanOptions(margin=self.options.margin, velocity=1.0, acceleration=1.0, rounds=self.options.rounds)
+        found = plan_motion(self.robot, self.starts[open_], goals, scene=self.scene, seed=self.seed, options=how)
+        ways = {i: way for i, way in zip(open_, found.waypoints, strict=True) if way is not None}
         samples = np.empty((len(ways), 4 * self.options.spans + 1, ends.shape[1]))
         x = np.linspace(0.0, 1.0, samples.shape[1])
         for row, way in zip(samples, ways.values(), strict=True):
@@ -173,7 +193,7 @@ class Search:
             rows, points = rows[best], points[best]
         problem = self._problem(rows, self.levels[0], soft=len(self.levels) > 1)
         found = collocation.optimise(problem, points, 40, 1e-2, 1e-3)
-        if self.options.margin is not None:
+        if self.options.kept_margin is not None:
             passes = self.judge.short(found.points).max(axis=1) < DEEP
             rows, found = rows[passes], jax.tree_util.tree_map(lambda x: x[passes], found)
         return _ranks(rows, found.cost, found.violation), rows, found
@@ -181,7 +201,7 @@ class Search:
     def _refined(self, rows: np.ndarray, found: collocation.Found) -> collocation.Found:
         """The same motions, solved with more and more spans; where obstacles cost enough, they mostly keep the margin without
         it."""
-        enough = self.soft.collision_weight == self.terms.collision_weight * self.terms.collision_maximum
+        enough = self.soft.options.collision_weight == self.options.collision_weight * self.options.collision_maximum
         for spans in self.levels[1:]:
             last = spans == self.levels[-1]
             accuracy = (self.options.iterations, self.options.tolerance, 0.5 * BROKEN) if last else (40, 1e-2, 1e-3)
@@ -196,7 +216,7 @@ class Search:
 
     def _freed(self, rows: np.ndarray, found: collocation.Found) -> Solved:
         """The motions that are proven free and inside their limits, mended where need be; the others' reasons are noted."""
-        options, judge, kept_apart = self.options, self.judge, self.options.margin is not None
+        options, judge, kept_apart = self.options, self.judge, self.options.kept_margin is not None
         mends = MENDS if kept_apart or self.terms.drives.limited else 0
         spans = found.points.shape[1] - options.degree
         extra, used = np.full((len(rows), spans + 1), CUSHION), np.ones((len(rows), spans + 1))
@@ -224,7 +244,7 @@ class Search:
     def _mended(
         self, rows: np.ndarray, found: collocation.Found, at: np.ndarray, extra: np.ndarray, used: np.ndarray
     ) -> collocation.Found:
-        """Those motions solved once more that are numbered `at`: with `extra` (b, N + 1) [m] of room at knots, and at the share
+        """Solves the motions numbered `at` once more: with `extra` (b, N + 1) [m] of room at knots, and at the share
         `used` (b, N + 1) of what the drives give; the others as they are."""
         problem = self._problem(rows[at], extra.shape[1] - 1, extra[at], cautious=True, used=used[at])
         accuracy = self.options.iterations, self.options.tolerance, 0.5 * BROKEN

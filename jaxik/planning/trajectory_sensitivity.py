@@ -1,4 +1,4 @@
-"""What the least cost of a trajectory depends on: its derivative by obstacles, links and targets."""
+"""The derivative of the least cost of a trajectory by obstacles, links and targets."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.options import changed, check_kind
+from jaxik.checks.options import check_kind
 from jaxik.collision.clearances import link_clearances
 from jaxik.collision.scene import Scene
 from jaxik.costs import collision_cost
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
-from jaxik.planning.trajectory_optimiser import OptimisedTrajectory
-from jaxik.planning.trajectory_options import TrajectoryOptions
-from jaxik.planning.trajectory_terms import at_knot
+from jaxik.planning.trajectory_optimiser import TrajectoryResult
+from jaxik.planning.trajectory_terms import TrajectoryOptions, at_knot
 from jaxik.spatial.algebra import Frame, stack, traced
 from jaxik.spmd import kernel
 
 
 def trajectory_cost(
     robot: Robot,
-    scene: Scene | None,
-    found: OptimisedTrajectory,
+    found: TrajectoryResult,
+    *,
+    scene: Scene | None = None,
     goal: Any = None,
     via: Sequence[tuple[float, Any]] = (),
     options: TrajectoryOptions | None = None,
@@ -48,8 +48,8 @@ def trajectory_cost(
 
     Raises `ValueError` for a batch (vmap it), for arc_length, and for poses that are not as many as the multipliers.
     """
-    check_kind("trajectory_cost", "found", found, OptimisedTrajectory)
-    options = changed("trajectory_cost", options or TrajectoryOptions(), changes)
+    check_kind("trajectory_cost", "found", found, TrajectoryResult)
+    options = TrajectoryOptions.chosen(options, changes)
     curve = jnp.asarray(found.trajectory.path.coefficients)
     if curve.ndim != 3:
         raise ValueError(f"trajectory_cost: a batch of shape {curve.shape[:-3]}; take one of it, or jax.vmap this")
@@ -65,7 +65,7 @@ def trajectory_cost(
     for (share, pose, task), multipliers in zip(asked, found.multipliers, strict=True):
         residual = _missed(robot, task, pose, q[round(share * (len(q) - 1))])
         total += jnp.asarray(multipliers, q.dtype)[: len(residual)] @ residual
-    if options.margin is not None:
+    if options.kept_margin is not None:
         pressed = np.flatnonzero(np.any(found.pressure > 1e-9 * np.max(found.pressure, initial=1.0), axis=1))
 
         asked_of = options.terms(robot, scene).parts

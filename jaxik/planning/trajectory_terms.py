@@ -1,33 +1,153 @@
-"""What a trajectory costs a robot, and what it must keep, as a programme for `optimise.collocation`."""
+"""The costs and limits of an optimal trajectory: as options, and for one robot as a programme for `optimise.collocation`."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxik.checks.arrays import numbers, shaped
+from jaxik.checks.options import shown
 from jaxik.collision.bvh import at_margin, grouped
-from jaxik.collision.clearances import has_geometry, link_contacts
+from jaxik.collision.clearances import link_contacts
 from jaxik.collision.continuous_collision import joint_reaches
 from jaxik.collision.scene import Scene
-from jaxik.dynamics.recursions import inverse_dynamics, mass_matrix
+from jaxik.dynamics.recursions import GRAVITY, inverse_dynamics, mass_matrix
 from jaxik.kinematics.forward import jacobian_columns, joint_frames
 from jaxik.kinematics.robot import Robot
-from jaxik.kinematics.task import Task
+from jaxik.kinematics.task import POSE, POSITION, Task
 from jaxik.optimise import collocation, splines
 from jaxik.optimise.collocation import FAR, Rows
-from jaxik.planning.torque_limits import Drives
+from jaxik.options import Options, anything, choice, count, flag, instance, number, per_joint
+from jaxik.planning.limits import limit_of, usual
+from jaxik.planning.torque_limits import Drives, drives
 from jaxik.spatial.algebra import Frame, stack, traced
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
 STRIDE = 0.05  # [m]
 SOFT = 1e3  # how much more than a radian in the duration it costs to be in an obstacle for as long
+
+
+Collision = Literal["constraint", "penalty"]
+
+
+class TrajectoryOptions(Options, who="optimise_trajectory"):
+    """What `optimise_trajectory` minimises and keeps. Degree 2 is the trapezoidal rule of Schuetz 2017, (6.8), and without a
+    constraint of collision keeps the joints' range at the ends of spans alone; degree 3 has continuous accelerations."""
+
+    duration: float | None = number(
+        default=None,
+        above=0.0,
+        optional=True,
+        unit="s",
+        words="of the motion; None is as short as the limits of the motion's form allow, of which each joint has one then",
+    )
+    spans: int = count(default=64, words="of the spline")
+    degree: int = count(default=3, least=2, most=3, words="of the spline")
+    velocity_cost: Any = anything(
+        default=1.0, words="zeta (6.6), a number, or (first, last), between which it grows with the square of time"
+    )
+    acceleration_cost: float | None = number(
+        default=None, least=0.0, optional=True, unit="s2", words="zeta_a; None is 0 for degree 2, (duration / 7)^2 for degree 3"
+    )
+    jerk_cost: float = number(default=0.0, least=0.0, unit="s4", words="zeta_j")
+    margin: float = number(default=0.0, unit="m", words="clearance that is kept on the whole way")
+    collision: str | Literal[False] = choice(
+        default="constraint",
+        kinds=Collision,
+        also=(False,),
+        words='"constraint" keeps the margin, "penalty" lets obstacles only cost, and False looks at nothing that may be hit',
+    )
+    collision_weight: float = number(default=0.0, least=0.0, words="zeta_coll (6.7), of what obstacles cost")
+    collision_maximum: float = number(default=1.0, least=0.0, words="l_coll at no distance (6.7)")
+    activation: float = number(
+        default=0.07, above=0.0, unit="m", words="distance to obstacles below which that costs, of each link by itself"
+    )
+    self_activation: float | None = number(
+        default=None, above=0.0, optional=True, unit="m", words="that of the robot to itself; None is `activation`"
+    )
+    arc_length: bool = flag(
+        default=False,
+        words="whether collision costs by the way the arm moves [m] rather than by time, so that haste does not make it cheap",
+    )
+    velocity: Any = per_joint(
+        default=None, unit="rad/s, m/s", words="limits of velocity, one number or one a joint; None is the robot's"
+    )
+    acceleration: Any = per_joint(
+        default=None,
+        unit="rad/s2, m/s2",
+        words="limits of acceleration, one number or one a joint; None is four times the velocity a second, "
+        "and no limit where torque or power is given",
+    )
+    jerk: Any = per_joint(
+        default=None, unit="rad/s3, m/s3", words="limits of jerk, one number or one a joint; None is no limit"
+    )
+    torque: Any = per_joint(
+        default=None, unit="Nm, N", words="limits of what the drives give, one number or one a joint; None is no limit"
+    )
+    power: Any = per_joint(default=None, unit="W", words="limits of |torque rate|, one number or one a joint; None is no limit")
+    gravity: Any = anything(default=GRAVITY, unit="m/s2", words="in the world's axes (3,), in which the drives hold the arm")
+    task: Task = instance(default=POSE, kind=Task, words="what a pose as the goal binds")
+    via_task: Task = instance(default=POSITION, kind=Task, words="what each pose as a via point binds")
+    postures: int = count(default=8, words="postures that have the goal's pose and are compared")
+    kept: int = count(default=3, words="of these that are optimised")
+    rounds: int = count(default=200, least=0, words="of the planner, whose path is the last resort; 0 is none")
+    iterations: int = count(default=60, words="of the solver")
+    tolerance: float = number(
+        default=1e-4, least=0.0, words="share of the cost by which a step of the solver must promise to lower it"
+    )
+
+    def check(self) -> None:
+        """Raises `ValueError` for a velocity_cost that is none, and for fields that do not go together."""
+        who, zeta = self.who, numbers(f"{self.who}: velocity_cost", self.velocity_cost)
+        if zeta.shape not in ((), (2,)) or not (np.isfinite(zeta) & (zeta >= 0.0)).all():
+            raise ValueError(f"{who}: velocity_cost is {shown(self.velocity_cost)}; allowed: one number or two, 0 or more")
+        shaped(f"{who}: gravity", self.gravity, (3,))
+        if self.spans < 2 * self.degree:
+            raise ValueError(f"{who}: degree {self.degree}, spans {self.spans}; give spans twice the degree or more")
+        if self.degree == 2 and (self.jerk_cost or np.isfinite(np.inf if self.jerk is None else self.jerk).any()):
+            raise ValueError(f"{who}: degree 2 has no jerk; write degree=3")
+        if self.degree == 2 and not (self.torque is None and self.power is None):
+            raise ValueError(f"{who}: degree 2 has no acceleration at knots, nor torque there; write degree=3")
+        if self.collision is False and self.collision_weight:
+            raise ValueError(f"{who}: collision_weight with collision=False, which looks at nothing; leave one of them out")
+
+    @property
+    def kept_margin(self) -> float | None:
+        """The margin, None where none is kept."""
+        return self.margin if self.collision == "constraint" else None
+
+    def terms(self, robot: Robot, scene: Scene | None) -> Terms:
+        """The terms of a robot with these options; with a free duration those within a second and without limits of motion."""
+        limits, drives = self.limits(robot), self.drives(robot)
+        if self.duration is None:
+            free = np.full(robot.num_joints, np.inf)
+            limits, drives = [free] * 3, drives._replace(torque=free, power=free)
+        duration = 1.0 if self.duration is None else float(self.duration)
+        velocity, acceleration, jerk = limits
+        return Terms(robot, scene, self, duration, velocity, acceleration, jerk, drives, apart=self.collision_weight > 0.0)
+
+    def drives(self, robot: Robot) -> Drives:
+        """The robot in its gravity, and the limits of its drives."""
+        return drives(self.who, robot, self.torque, self.power, self.gravity)
+
+    def limits(self, robot: Robot) -> list[np.ndarray]:
+        """The limits of velocity, acceleration and jerk, each (n,). Raises `ValueError` where no time follows from them, nor is
+        given."""
+        drives = self.drives(robot)
+        velocity, acceleration = usual(self.who, robot, self.velocity, self.acceleration, drives.limited)
+        given = {"velocity": velocity, "acceleration": acceleration, "jerk": np.inf if self.jerk is None else self.jerk}
+        found = [limit_of(self.who, name, x, (robot.num_joints,)) for name, x in given.items()]
+        if self.duration is None and np.isinf([*found[: self.degree], drives.torque, drives.power]).all(axis=0).any():
+            mend = "give velocity= [rad/s, m/s], or duration= [s]"
+            raise ValueError(f"{self.who}: {robot.name} has no limits of velocity; {mend}")
+        return found
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,26 +171,24 @@ def told_apart(via: Sequence[Target], spans: int) -> bool:
 
 @dataclasses.dataclass(frozen=True)
 class Terms:
-    """Of one robot in one scene: which limits hold and what costs how much (`TrajectoryOptions`), within `duration` [s]."""
+    """The limits (n,) and costs of one robot in one scene (`options`), within `duration` [s]; `apart`, whether its distance to
+    itself costs by itself."""
 
     robot: Robot
     scene: Scene | None
+    options: TrajectoryOptions
     duration: float
-    degree: int
-    velocity_cost: tuple[float, float]
-    acceleration_cost: float
-    jerk_cost: float
-    margin: float | None
-    collision_weight: float
-    collision_maximum: float
-    activation: float
-    self_activation: float
-    apart: bool
-    arc_length: bool
     velocity: np.ndarray
     acceleration: np.ndarray
     jerk: np.ndarray
     drives: Drives
+    apart: bool
+
+    @property
+    def acceleration_cost(self) -> float:
+        """zeta_a [s2]."""
+        smooth = (self.duration / 7.0) ** 2 if self.options.degree == 3 else 0.0
+        return smooth if self.options.acceleration_cost is None else self.options.acceleration_cost
 
     def problem(
         self,
@@ -89,7 +207,7 @@ class Terms:
         asked = functools.partial(self._equations, targets, count) if targets else None
         samples = functools.partial(self._samples, 0.0 if extra is None else extra, open_end)
         return collocation.Problem(
-            *(self.degree, self.duration / spans, self._rows(spans, cautious), samples, asked, at, count, open_end),
+            *(self.options.degree, self.duration / spans, self._rows(spans, cautious), samples, asked, at, count, open_end),
             cautious=self._reaches / STRIDE if cautious and self._robots else None,
             loads=self._loads if self.drives.limited else None,
             limit=None if not self.drives.limited else np.ones((1, 1, 1)) if used is None else used[:, :, None],
@@ -101,30 +219,33 @@ class Terms:
 
     def softened(self) -> Terms:
         """The same with obstacles that cost instead of a margin: from within one a motion finds out."""
-        if self.margin is None:
+        options = self.options
+        if options.kept_margin is None:
             return self
-        weight = max(self.collision_weight * self.collision_maximum, SOFT * self.velocity_cost[0] / self.duration**2)
-        return dataclasses.replace(self, margin=None, collision_weight=weight, collision_maximum=1.0)
+        hard = SOFT * np.ravel(options.velocity_cost)[0] / self.duration**2
+        weight = float(max(options.collision_weight * options.collision_maximum, hard))
+        soft = {"collision": "penalty", "collision_weight": weight, "collision_maximum": 1.0}
+        return dataclasses.replace(self, options=options.changed(soft))
 
     @property
     def orders(self) -> tuple[int, ...]:
-        """Of the derivatives that cost something, or have limits."""
+        """The orders of the derivatives that cost something, or have limits."""
         bent = self.acceleration_cost or np.isfinite(self.acceleration).any()
-        jerks = self.degree == 3 and (self.jerk_cost or np.isfinite(self.jerk).any())
+        jerks = self.options.degree == 3 and (self.options.jerk_cost or np.isfinite(self.jerk).any())
         return (1, *([2] if bent else []), *([3] if jerks else []))
 
     def clearance(self, q: np.ndarray) -> np.ndarray:
-        """Of configurations (b, n): (b,) [m]."""
+        """The clearance (b,) [m] of configurations (b, n)."""
         each = (in_blocks(_contacts(robot), q, fixed=(around,), double=True)[0] for robot, around, _ in self._robots)
         return np.min([d.min(axis=1, initial=FAR) for d in each], axis=0)
 
     def _rows(self, spans: int, cautious: bool) -> tuple[Rows, ...]:
         """The costs and limits of values, rates, accelerations and jerks."""
-        span = self.duration / spans
+        span, degree = self.duration / spans, self.options.degree
         stencil = lambda order: tuple(np.array(splines.DIFFERENCE[order]) / span**order)
-        place = splines.DIFFERENCE[0] if cautious or self.degree == 3 else splines.VALUE[2]
-        first, last = self.velocity_cost
-        grown = np.clip((np.arange(spans + self.degree - 1) - 0.5 * (self.degree - 2)) / spans, 0.0, 1.0) ** 2
+        place = splines.DIFFERENCE[0] if cautious or degree == 3 else splines.VALUE[2]
+        first, last = np.broadcast_to(np.asarray(self.options.velocity_cost, float), 2).tolist()
+        grown = np.clip((np.arange(spans + degree - 1) - 0.5 * (degree - 2)) / spans, 0.0, 1.0) ** 2
         trapezoid = np.full(len(grown), span)
         trapezoid[[0, -1]] *= 0.5
         rows = [
@@ -133,7 +254,7 @@ class Terms:
         ]
         more = {
             2: Rows(stencil(2), span * self.acceleration_cost, -self.acceleration, self.acceleration),
-            3: Rows(stencil(3), span * self.jerk_cost, -self.jerk, self.jerk),
+            3: Rows(stencil(3), span * self.options.jerk_cost, -self.jerk, self.jerk),
         }
         return (*rows, *(more[order] for order in self.orders[1:]))
 
@@ -143,16 +264,17 @@ class Terms:
         and to the scene, each by itself: were it the lesser of both, a link that is always near its neighbour would see nothing
         else, and the cost would have a kink where both are equally far."""
         if not self.apart:
-            return [(self.robot, self.scene, self.activation)]
+            return [(self.robot, self.scene, self.options.activation)]
         alone = dataclasses.replace(self.robot, self_pairs=())
-        return [(self.robot, None, self.self_activation), (alone, self.scene, self.activation)]
+        near = self.options.self_activation
+        own = self.options.activation if near is None else near
+        return [(self.robot, None, own), (alone, self.scene, self.options.activation)]
 
     @functools.cached_property
     def _robots(self) -> list[tuple[Robot, Any, float]]:
-        """The `parts` with their obstacles by place; none of a robot without shapes."""
-        known = has_geometry(self.robot)
-        around = lambda robot, scene: at_margin(grouped(scene, robot), self.margin or 0.0)
-        return [(robot, around(robot, scene), near) for robot, scene, near in self.parts] if known else []
+        """The `parts` with their obstacles by place; none where nothing is looked at that may be hit."""
+        around = lambda robot, scene: at_margin(grouped(scene, robot), self.options.kept_margin or 0.0)
+        return [(robot, around(robot, scene), near) for robot, scene, near in self.parts if self.options.collision]
 
     @functools.cached_property
     def _reaches(self) -> np.ndarray:
@@ -160,7 +282,7 @@ class Terms:
 
     def _samples(self, extra: Any, open_end: bool, q: np.ndarray, rate: np.ndarray, which: np.ndarray) -> collocation.Samples:
         """What is near configurations (b, k, n) at knots, of problems `which` (b,): what it costs (6.7), and its margins."""
-        count, knots, n = q.shape
+        options, (count, knots, n) = self.options, q.shape
         distances, slopes, near = [], [], []
         for robot, around, activation in self._robots:
             d, slope = in_blocks(_contacts(robot), q.reshape(-1, n), fixed=(around,), double=True)
@@ -171,15 +293,15 @@ class Terms:
             distances, slopes, near = [np.full((count, knots, 1), FAR)], [np.zeros((count, knots, 1, n))], [np.ones(1)]
         d, slope, close = np.concatenate(distances, 2), np.concatenate(slopes, 2), np.concatenate(near)
         excess: np.ndarray | None = None
-        if self.margin is not None:
-            excess = d - self.margin - (extra[which][..., None] if np.ndim(extra) else extra)
+        if (margin := options.kept_margin) is not None:
+            excess = d - margin - (extra[which][..., None] if np.ndim(extra) else extra)
             excess[:, [0] if open_end else [0, -1]] = FAR  # where the posture is given
-        weight = np.full(knots, self.collision_weight * self.collision_maximum * self.duration / (knots - 1))
+        weight = np.full(knots, options.collision_weight * options.collision_maximum * self.duration / (knots - 1))
         weight[[0, -1]] *= 0.5
         by_rate: np.ndarray | None = None
         depth = np.maximum(close - d, 0.0) / close
         share = np.broadcast_to(weight[:, None], (count, knots, 1))
-        if self.arc_length and self._robots:
+        if options.arc_length and self._robots:
             speed = np.sqrt(np.sum((rate * self._reaches) ** 2, axis=2, keepdims=True) + 1e-12)
             by_rate = np.sum(share * depth**3, axis=2, keepdims=True) / speed * rate * self._reaches**2
             share = share * speed

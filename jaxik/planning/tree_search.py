@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Protocol
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,7 +20,7 @@ UNLIKE = 10  # times as many nodes as the other tree has
 
 
 class Space(Protocol):
-    """What the search asks of the space, by rows (b, n): lengths, and the free part of a straight way by samples."""
+    """A space that the search asks, by rows (b, n), for lengths, and for the free part of a straight way by samples."""
 
     def length(self, moved: np.ndarray) -> np.ndarray: ...
 
@@ -27,14 +28,21 @@ class Space(Protocol):
 
 
 class Budget:
-    """What a search may take and has taken: rounds, and the time [s] that is left; None is as long as it likes."""
+    """The rounds that a search has taken, and the time [s] that it may take, None being no limit. `progress` is called with
+    the rounds."""
 
-    def __init__(self, seconds: float | None = None):
-        self.rounds, self.end = 0, math.inf if seconds is None else time.monotonic() + seconds
+    def __init__(self, seconds: float | None = None, progress: Callable[[int], Any] | None = None):
+        self.rounds, self.end, self.progress = 0, math.inf if seconds is None else time.monotonic() + seconds, progress
 
     @property
     def spent(self) -> bool:
         return time.monotonic() > self.end
+
+    def take(self) -> None:
+        """Counts a round."""
+        self.rounds += 1
+        if self.progress is not None:
+            self.progress(self.rounds)
 
 
 class _Tree:
@@ -52,7 +60,7 @@ class _Tree:
         return self._nodes[: self.count]
 
     def nearest(self, points: np.ndarray) -> np.ndarray:
-        """The number of the node that is nearest to each point, as float32 has it."""
+        """The number of the node that is nearest to each point, in float32."""
         terms = np.column_stack([points * self.weights, np.ones(len(points))]).astype(np.float32)
         return np.argmin(terms @ self._terms[:, : self.count], axis=1)
 
@@ -68,7 +76,7 @@ class _Tree:
         self.idle = 0 if len(nodes) else self.idle
 
     def way(self, node: int) -> list[np.ndarray]:
-        """From a node back to its root."""
+        """The way from a node back to its root."""
         found = []
         while node >= 0:
             found.append(self._nodes[node])
@@ -96,7 +104,7 @@ def connected(
     for number in range(rounds):
         if budget.spent or max(tree.idle for tree in trees) > PATIENCE:
             return None
-        budget.rounds += 1
+        budget.take()
         which = _turn(number, trees)
         ours, other = trees[which], trees[1 - which]
         ours.idle += 1
@@ -120,7 +128,7 @@ def connected(
 
 
 def _turn(number: int, trees: list[_Tree]) -> int:
-    """Which tree grows: they take turns; one that is much smaller, being in the narrower place, has three of four."""
+    """The tree that grows next: they take turns; one that is much smaller, being in the narrower place, has three of four."""
     small, large = sorted((0, 1), key=lambda i: trees[i].count)
     if trees[large].count > UNLIKE * trees[small].count:
         return small if number % 4 else large
@@ -128,7 +136,7 @@ def _turn(number: int, trees: list[_Tree]) -> int:
 
 
 def _grown(space: Space, tree: _Tree, before: np.ndarray, part: np.ndarray, ends: np.ndarray, step: float) -> np.ndarray:
-    """What is added to a tree: the free parts of edges from some of its nodes, where they are a step long."""
+    """Adds the free parts of edges from some of its nodes to a tree, where they are a step long, and returns them."""
     moved = part[:, None] * (ends - tree.nodes[before])
     long = space.length(moved) > 0.99 * step
     new = (tree.nodes[before] + moved)[long]

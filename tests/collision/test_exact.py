@@ -130,7 +130,7 @@ def test_answers_and_plans_are_free_by_the_meshes(arm):
     answers = Truth(exact, found.q)
     assert all(min(answers.itself(i), answers.scene(i)) > 0.0 for i in range(len(found.q)))
     np.testing.assert_allclose(found.clearance, measured(lambda q: jaxik.clearance(exact, SCENE, q), found.q), atol=1e-9)
-    plan = jaxik.plan_motion(exact, SCENE, ends[0], ends[1], seed=1)
+    plan = jaxik.plan_motion(exact, ends[0], ends[1], scene=SCENE, seed=1)
     assert plan.success
     at = np.asarray(plan.trajectory.at(np.linspace(0.0, float(plan.trajectory.duration), 200)).q)
     along = Truth(exact, at)

@@ -29,7 +29,7 @@ BATCH = Found.stacked([ONE, OTHER, ONE])
 
 def test_a_single_result_is_true_if_it_is_solved():
     assert not ONE and OTHER and len(ONE) == 1 and ONE[0] is ONE and [*ONE] == [ONE]
-    assert ONE.why == "limits; widen them" and OTHER.why == "solved" and ONE.counts() == {"limits": 1}
+    assert ONE.why == "start: limits; widen them" and OTHER.why == "solved" and ONE.counts() == {"limits": 1}
     with pytest.raises(IndexError):
         ONE[1]
     assert len(ONE[:]) == 1 and not ONE[:].single
@@ -44,7 +44,7 @@ def test_a_batch_has_rows_and_no_truth():
     assert [bool(each) for each in BATCH] == [False, True, False] and BATCH[-1].where == "start"
     for rows in (slice(1, None), [1, 2], np.array([False, True, True])):
         assert BATCH[rows].where == ("", "start") and BATCH[rows].q.shape == (2, 2) and len(BATCH[rows].ways) == 2
-    assert BATCH.why.tolist() == ["limits; widen them", "solved", "limits; widen them"]
+    assert BATCH.why.tolist() == ["start: limits; widen them", "solved", "start: limits; widen them"]
     assert len(BATCH[:0]) == 0 and BATCH[:0].why.shape == (0,) and BATCH[:0].counts() == {}
 
 
@@ -56,7 +56,7 @@ def test_it_is_a_tree():
 
 def test_it_prints_what_a_person_asks_first():
     assert repr(BATCH).splitlines()[0] == "Found: 1 of 3 solved, 2 limits" and repr(ONE).startswith(
-        "Found: limits; widen them\n"
+        "Found: start: limits; widen them\n"
     )
     assert "  q: [0. 0.]" in repr(ONE) and "robot" not in repr(ONE)
     assert "float64[20, 2]" in repr(Found(np.zeros((20, 2)), np.zeros(20, int)))

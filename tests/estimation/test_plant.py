@@ -12,10 +12,11 @@ import jaxik
 from jaxik.dynamics import Drive, forward_dynamics
 from jaxik.estimation import Instruments, Push, TorqueEstimator, TorqueFilter, estimate, mujoco_model, play
 from jaxik.kinematics import jacobian
-from jaxik.planning import s_curve
+from jaxik.planning import time_path
 
 IDEAL = an_arm(Drive())
-MOTION = s_curve([[0.3, -0.5], [0.8, 0.4]], velocity=1.0, acceleration=4.0, jerk=40.0)
+CURVED = {"profile": "s_curve", "velocity": 1.0, "acceleration": 4.0, "jerk": 40.0}
+MOTION = time_path([[0.3, -0.5], [0.8, 0.4]], **CURVED)
 
 
 def test_a_roll_out_agrees_with_forward_dynamics():
@@ -56,7 +57,7 @@ def test_a_push_is_played_and_found():
 
 def test_friction_sticks():
     """At rest a push below the friction's band moves nothing, and no current shows it; in motion it does."""
-    held = s_curve([[0.3, -0.5], [0.3, -0.499]], velocity=1.0, acceleration=4.0, jerk=40.0)
+    held = time_path([[0.3, -0.5], [0.3, -0.499]], **CURVED)
     push = Push("link1", [0.0, 0.0, 0.0], lambda t, point: [-0.6 * point[1], 0.6 * point[0], 0.0], 0.5)
     log = play(ARM, held, [push], rest=(0.0, 1.0))
     before, after = np.searchsorted(log.t, [0.49, 0.99])

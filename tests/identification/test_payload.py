@@ -88,7 +88,7 @@ def test_of_a_simulated_arm():
     rubs = dataclasses.replace(drive.friction, coulomb=2.4, breakaway=2.4)
     arm = model.with_drives([dataclasses.replace(drive, friction=rubs)] * 6)
     ways = np.array([[-0.6] * 6, [0.6, 0.8, -0.5, 0.7, 0.9, -0.8], [0.1, -0.7, 0.6, -0.8, -0.9, 0.8]])
-    plan = jaxik.planning.quintic([ways[0], ways[1], ways[2]], velocity=1.0, acceleration=3.0)
+    plan = jaxik.planning.time_path(ways[:3], profile="quintic", velocity=1.0, acceleration=3.0)
     sensors = jaxik.estimation.Instruments(current_noise=0.01)
     logs = []
     for each in (arm.with_load(MASS, com=COM, inertia=TENSOR), arm):

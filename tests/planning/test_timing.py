@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 import jaxik
 from jaxik.dynamics.recursions import gravity_torque, inverse_dynamics
 from jaxik.kinematics import Motion, smooth
-from jaxik.planning import JointPath, load_trajectory, save_trajectory, time_optimal
+from jaxik.planning import JointPath, load_trajectory, save_trajectory, time_path
 from jaxik.planning.trajectory import padded
 
 VELOCITY = np.array([1.0, 2.0, 0.5, 1.5, 3.0])
@@ -56,7 +56,9 @@ def _toppra(points, velocity, acceleration, places):
 
 def test_as_fast_as_toppra():
     waypoints = _paths(4)
-    ours = time_optimal(_stacked([JointPath.spline(w) for w in waypoints]), VELOCITY, ACCELERATION, places=800)
+    ours = time_path(
+        _stacked([JointPath.spline(w) for w in waypoints]), velocity=VELOCITY, acceleration=ACCELERATION, places=800
+    )
     for i, points in enumerate(waypoints):
         assert -1e-3 < ours.duration[i] / _toppra(points, VELOCITY, ACCELERATION, 800) - 1.0 < 0.01
 
@@ -65,13 +67,13 @@ def test_as_fast_as_toppra():
 def test_as_fast_as_toppra_however_many_the_waypoints(waypoints):
     """Without a word of the places: a grid of as many for every path leaves few to each piece of a long one."""
     (points,) = _paths(1, waypoints=waypoints)
-    ours = time_optimal(JointPath.spline(points), VELOCITY, ACCELERATION)
+    ours = time_path(JointPath.spline(points), velocity=VELOCITY, acceleration=ACCELERATION)
     assert -1e-3 < ours.duration / _toppra(points, VELOCITY, ACCELERATION, 100 * waypoints) - 1.0 < 0.02
 
 
 @pytest.mark.parametrize("make", [JointPath.spline, JointPath.polyline])
 def test_limits_hold_at_every_moment(make):
-    moved = time_optimal(_stacked([make(w) for w in _paths(3, seed=1)]), VELOCITY, ACCELERATION, places=60)
+    moved = time_path(_stacked([make(w) for w in _paths(3, seed=1)]), velocity=VELOCITY, acceleration=ACCELERATION, places=60)
     for i in range(3):
         moments, (q, velocity, acceleration) = _dense(_row(moved, i))
         assert np.max(np.abs(velocity) / VELOCITY) <= 1.0 + 1e-9 and np.max(np.abs(acceleration) / ACCELERATION) <= 1.0 + 1e-9
@@ -95,23 +97,34 @@ def test_a_path_goes_through_its_waypoints():
 @pytest.mark.parametrize(("length", "known"), [(1.0, 1.0 / 1.0 + 1.0 / 2.0), (0.125, 2.0 * np.sqrt(0.125 / 2.0))])
 def test_a_line_is_driven_as_everybody_knows(length, known):
     """A trapezoid of velocity, or a triangle where it is too short for that."""
-    moved = time_optimal(JointPath.polyline([[0.0, 0.0], [length, 0.5 * length]]), 1.0, 2.0)
+    moved = time_path(JointPath.polyline([[0.0, 0.0], [length, 0.5 * length]]), velocity=1.0, acceleration=2.0)
     assert moved.duration == pytest.approx(known, rel=1e-5)
 
 
 def test_corners_are_stopped_at():
-    moved = time_optimal(JointPath.polyline([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]), 1.0, 2.0)
+    moved = time_path(JointPath.polyline([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]), velocity=1.0, acceleration=2.0)
     assert moved.duration == pytest.approx(3.0, rel=1e-5)
     corner = np.argmin(np.abs(moved.place - 1.0))
     assert moved.speed[corner] == 0.0
 
 
+def test_waypoints_are_joined_by_straight_lines():
+    points = np.stack(_paths(2, seed=5))
+    points[1, 0, 0] = np.nan
+    together = time_path(points, velocity=VELOCITY, acceleration=ACCELERATION, places=60)
+    alone = time_path(JointPath.polyline(points[0]), velocity=VELOCITY, acceleration=ACCELERATION, places=60)
+    np.testing.assert_array_equal(together.time[0], alone.time)
+    assert together.reasons.tolist() == ["solved", "invalid"]
+    one = time_path(points[0], velocity=VELOCITY, acceleration=ACCELERATION, places=60)
+    np.testing.assert_array_equal(one.time, alone.time)
+
+
 def test_what_has_no_length_takes_no_time():
     path = JointPath.spline(_paths(1)[0])
-    assert time_optimal(padded(path, 8), 1.0, 2.0, places=800).duration == pytest.approx(
-        float(time_optimal(path, 1.0, 2.0, places=400).duration), rel=1e-12
+    assert time_path(padded(path, 8), velocity=1.0, acceleration=2.0, places=800).duration == pytest.approx(
+        float(time_path(path, velocity=1.0, acceleration=2.0, places=400).duration), rel=1e-12
     )
-    still = time_optimal(JointPath.polyline([[1.0, 2.0], [1.0, 2.0]]), 1.0, 2.0)
+    still = time_path(JointPath.polyline([[1.0, 2.0], [1.0, 2.0]]), velocity=1.0, acceleration=2.0)
     assert still.duration == 0.0
     np.testing.assert_array_equal(still.sample(0.01).q, [[1.0, 2.0]])
 
@@ -119,11 +132,11 @@ def test_what_has_no_length_takes_no_time():
 @pytest.mark.parametrize(("pieces", "places"), [(1, 1), (2, 1), (30, 20)])
 def test_every_line_takes_its_time_however_few_the_places(pieces, places):
     """Between two stops a line needs places to speed up at, or it would be over in no time."""
-    moved = time_optimal(
+    moved = time_path(
         JointPath.polyline(np.arange(pieces + 1.0)[:, None] * [1.0, 0.0] + [[0.0, i % 2] for i in range(pieces + 1)]),
-        9.0,
-        2.0,
-        places,
+        velocity=9.0,
+        acceleration=2.0,
+        places=places,
     )
     assert moved.duration == pytest.approx(pieces * 2.0 * np.sqrt(1.0 / 2.0), rel=1e-5)
 
@@ -133,23 +146,25 @@ def test_a_corner_is_stopped_at_where_a_piece_of_no_length_lies_on_it():
     curve = path.coefficients.copy()
     curve[1, 2] = curve[0, 2]  # its direction counts for nothing either
     for each in (path, JointPath(path.lengths, curve)):
-        assert time_optimal(each, 1.0, 2.0).duration == pytest.approx(3.0, rel=1e-5)
+        assert time_path(each, velocity=1.0, acceleration=2.0).duration == pytest.approx(3.0, rel=1e-5)
 
 
 def test_rows_are_as_they_are_alone_and_a_bad_one_spoils_no_other():
     paths = [JointPath.spline(w) for w in _paths(3, seed=3)]
     paths[1] = JointPath(paths[1].lengths * np.nan, paths[1].coefficients)
-    together = time_optimal(_stacked(paths), np.array([VELOCITY] * 3), ACCELERATION, places=40)
+    together = time_path(_stacked(paths), velocity=np.array([VELOCITY] * 3), acceleration=ACCELERATION, places=40)
     assert np.isnan(together.duration[1])
     for i in (0, 2):
-        np.testing.assert_array_equal(together.time[i], time_optimal(paths[i], VELOCITY, ACCELERATION, places=40).time)
-    assert time_optimal(_stacked(paths[:1]), np.inf, ACCELERATION).duration < together.duration[0]
+        np.testing.assert_array_equal(
+            together.time[i], time_path(paths[i], velocity=VELOCITY, acceleration=ACCELERATION, places=40).time
+        )
+    assert time_path(_stacked(paths[:1]), velocity=np.inf, acceleration=ACCELERATION).duration < together.duration[0]
     none = jax.tree_util.tree_map(lambda leaf: leaf[:0], _stacked(paths))
-    assert time_optimal(none, VELOCITY, ACCELERATION).time.shape[0] == 0
+    assert time_path(none, velocity=VELOCITY, acceleration=ACCELERATION).time.shape[0] == 0
 
 
 def test_samples_end_with_the_motion_and_keep_the_limits():
-    moved = time_optimal(JointPath.spline(_paths(1, seed=4)[0]), VELOCITY, ACCELERATION)
+    moved = time_path(JointPath.spline(_paths(1, seed=4)[0]), velocity=VELOCITY, acceleration=ACCELERATION)
     state = moved.sample(0.008)
     assert moved.duration <= state.time[-1] < moved.duration + 0.008
     np.testing.assert_allclose(np.diff(state.time), 0.008)
@@ -163,27 +178,33 @@ def test_samples_end_with_the_motion_and_keep_the_limits():
     ("call", "said"),
     [
         (
-            lambda: time_optimal(LINE, 0.0, 1.0),
+            lambda: time_path(LINE, velocity=0.0, acceleration=1.0),
             "velocity is 0.0; allowed: one number or",
         ),
-        (lambda: time_optimal(LINE, 1.0, np.inf), "acceleration is infinite"),
+        (lambda: time_path(LINE, velocity=1.0, acceleration=np.inf), "acceleration is infinite"),
         (
-            lambda: time_optimal(LINE, [1.0, 1.0], 1.0),
+            lambda: time_path(LINE, velocity=[1.0, 1.0], acceleration=1.0),
             r"velocity of shape \(2,\) is",
         ),
-        (lambda: time_optimal("path", 1.0, 1.0), "path is path; write a jaxik.planning.JointPath"),
+        (lambda: time_path("path", velocity=1.0, acceleration=1.0), "waypoints: str that is no array of numbers"),
         (lambda: JointPath.polyline([[0.0, np.nan], [1.0, 0.0]]), "waypoints of shape"),
         (lambda: JointPath.spline([[0.0], [0.0], [1.0]]), "waypoints 0 and 1 are equal"),
-        (lambda: time_optimal(LINE, 1.0, 1.0).sample(0.0), "dt is 0; it is above zero"),
+        (lambda: time_path(LINE, velocity=1.0, acceleration=1.0).sample(0.0), "dt is 0; it is above zero"),
         (lambda: _stacked([LINE] * 2).at(0.1), r"JointPath.at: a stack of shape \(2,\)"),
         (
-            lambda: time_optimal(_stacked([LINE] * 2), 1.0, 1.0).at(0.1),
+            lambda: time_path(_stacked([LINE] * 2), velocity=1.0, acceleration=1.0).at(0.1),
             "Trajectory.at: a stack of shape",
         ),
-        (lambda: time_optimal(JointPath(np.ones(2), np.ones((2, 3, 4))), 1.0, 1.0), r"coefficients \(2, 3, 4\); allowed"),
-        (lambda: time_optimal(JointPath(np.ones(0), np.ones((0, 4, 3))), 1.0, 1.0), r"lengths \(0,\)"),
-        (lambda: time_optimal(JointPath(-np.ones(1), np.ones((1, 4, 3))), 1.0, 1.0), "length -1"),
-        (lambda: time_optimal(JointPath(np.full(1, np.nan), np.ones((1, 4, 3))), 1.0, 1.0).sample(0.1), "lasts nan s"),
+        (
+            lambda: time_path(JointPath(np.ones(2), np.ones((2, 3, 4))), velocity=1.0, acceleration=1.0),
+            r"coefficients \(2, 3, 4\); allowed",
+        ),
+        (lambda: time_path(JointPath(np.ones(0), np.ones((0, 4, 3))), velocity=1.0, acceleration=1.0), r"lengths \(0,\)"),
+        (lambda: time_path(JointPath(-np.ones(1), np.ones((1, 4, 3))), velocity=1.0, acceleration=1.0), "length -1"),
+        (
+            lambda: time_path(JointPath(np.full(1, np.nan), np.ones((1, 4, 3))), velocity=1.0, acceleration=1.0).sample(0.1),
+            "lasts nan s",
+        ),
     ],
 )
 def test_mistakes_are_named(call, said):
@@ -192,7 +213,7 @@ def test_mistakes_are_named(call, said):
 
 
 def test_files_hold_what_was_sampled(tmp_path):
-    moved, names = time_optimal(JointPath.spline(_paths(1, n=3)[0]), 1.0, 2.0), ["a", "b", "c"]
+    moved, names = time_path(JointPath.spline(_paths(1, n=3)[0]), velocity=1.0, acceleration=2.0), ["a", "b", "c"]
     state = moved.sample(0.03)
     table = np.genfromtxt(save_trajectory(moved, tmp_path / "x.csv", robot=names, dt=0.03), delimiter=",", names=True)
     np.testing.assert_array_equal(table["time"], state.time)
@@ -219,7 +240,7 @@ def test_files_hold_what_was_sampled(tmp_path):
 @pytest.mark.parametrize("file", ["x.csv", "x.NPZ", "x.Json"])
 def test_files_hold_a_motion_that_stands_still(tmp_path, file):
     """Whatever the ending's case; no file of another name is left beside it."""
-    still = time_optimal(JointPath.polyline([[1.0, 2.0], [1.0, 2.0]]), 1.0, 2.0)
+    still = time_path(JointPath.polyline([[1.0, 2.0], [1.0, 2.0]]), velocity=1.0, acceleration=2.0)
     assert save_trajectory(still, tmp_path / file, robot=["a", "b"], dt=0.01) == tmp_path / file
     assert [each.name for each in tmp_path.iterdir()] == [file]
     found = load_trajectory(tmp_path / file, robot=["b", "a"])
@@ -259,8 +280,12 @@ def test_within_torque_as_fast_as_toppra():
     robot, torque = jaxik.load("crops_v2"), np.array([700.0, 120.0, 120.0, 60.0, 30.0, 20.0, 8.0, 8.0, 4.0])
     points = np.random.default_rng(0).uniform(-0.8, 0.8, (2, 5, 9)) + 0.4 * np.eye(9)[0]
     velocity = np.full(9, 5.0)
-    moved = time_optimal(_stacked([JointPath.spline(w) for w in points]), velocity, np.inf, robot=robot, torque=torque)
-    weak = time_optimal(JointPath.spline(points[0]), velocity, 4.0, robot=robot, torque=torque, power=0.5 * torque)
+    moved = time_path(
+        _stacked([JointPath.spline(w) for w in points]), velocity=velocity, acceleration=np.inf, robot=robot, torque=torque
+    )
+    weak = time_path(
+        JointPath.spline(points[0]), velocity=velocity, acceleration=4.0, robot=robot, torque=torque, power=0.5 * torque
+    )
     with jax.enable_x64(True):
         inverse = jax.jit(lambda q, v, a: inverse_dynamics(robot, q, v, a))
         for i, waypoints in enumerate(points):
@@ -290,8 +315,13 @@ def test_constant_power_on_a_slide():
     level[:3, :3] = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]  # the slide's z is the world's x
     half = (0.75 * length / np.sqrt(2.0 * power / mass)) ** (2.0 / 3.0)
     for fastest in (10.0, np.inf):
-        moved = time_optimal(
-            JointPath.polyline([[0.1], [0.1 + length]]), fastest, np.inf, 2000, robot=robot.mounted(level), power=power
+        moved = time_path(
+            JointPath.polyline([[0.1], [0.1 + length]]),
+            velocity=fastest,
+            acceleration=np.inf,
+            places=2000,
+            robot=robot.mounted(level),
+            power=power,
         )
         assert 1.0 <= moved.duration / (2.0 * half) < 1.012  # the force is without end at first
 
@@ -307,7 +337,7 @@ def test_drives_that_cannot_hold_the_arm_are_named(tmp_path):
     at, joint = np.unravel_index(np.argmax(still), still.shape)
     most = still.max(axis=0)
     with pytest.raises(ValueError, match=f"{robot.joint_names[joint]} needs .* to stand still; the limit is") as refused:
-        time_optimal(path, robot=robot, torque=np.where(np.arange(2) == joint, 0.9, 2.0) * most)
+        time_path(path, robot=robot, torque=np.where(np.arange(2) == joint, 0.9, 2.0) * most)
     words = str(refused.value).split()
     assert float(words[3]) == pytest.approx(most[joint], rel=1e-3) and words[4] == "Nm"
     assert float(words[7]) == pytest.approx(places[at], abs=0.01) and float(words[-1]) == pytest.approx(
@@ -315,13 +345,10 @@ def test_drives_that_cannot_hold_the_arm_are_named(tmp_path):
     )
     high = JointPath.polyline([[0.0, -1.3], [0.0, -1.25], [0.0, -1.2]])
     unknown = JointPath(path.lengths * np.nan, path.coefficients)
-    moved = time_optimal(_stacked([path, high, unknown]), robot=robot, torque=0.95 * most)
-    assert moved.reasons.tolist() == ["limits", "solved", "invalid"] and np.isfinite(moved.duration).tolist() == [
-        False,
-        True,
-        False,
-    ]
-    alone = time_optimal(high, robot=robot, torque=0.95 * most)
+    moved = time_path(_stacked([path, high, unknown]), robot=robot, torque=0.95 * most)
+    assert moved.reasons.tolist() == ["limits", "solved", "invalid"]
+    assert np.isfinite(moved.duration).tolist() == [False, True, False]
+    alone = time_path(high, robot=robot, torque=0.95 * most)
     assert alone.reasons == "solved" and alone.duration == moved.duration[1]
     for row, said in ((0, "lasts nan s; its drives cannot hold the arm still"), (2, "lasts nan s; its path holds what is no")):
         with pytest.raises(ValueError, match=said):
@@ -332,23 +359,31 @@ def test_what_is_not_given_is_the_robots(tmp_path):
     robot = jaxik.load("crops_v2").part(1, 3)
     robot = dataclasses.replace(robot, velocity=np.array([0.4, 3.0]), effort=np.array([20.0, 90.0]))
     path = JointPath.polyline([[0.0, -1.3], [0.2, -1.2]])
-    own = time_optimal(path, robot=robot, torque=robot.effort)
-    assert own.duration == time_optimal(path, robot.velocity, np.inf, robot=robot, torque=robot.effort).duration
+    own, within = time_path(path, robot=robot, torque=robot.effort), {"robot": robot, "torque": robot.effort}
+    assert own.duration == time_path(path, velocity=robot.velocity, acceleration=np.inf, **within).duration
     assert own.speed.max() / np.hypot(0.2, 0.1) * 0.2 == pytest.approx(0.4)  # its velocity's limit is met
-    assert time_optimal(path, robot=robot, acceleration=2.0).duration == time_optimal(path, robot.velocity, 2.0).duration
+    lasts = lambda *limits: float(time_path(path, velocity=limits[0], acceleration=limits[1]).duration)
+    assert time_path(path, robot=robot, acceleration=2.0).duration == lasts(robot.velocity, 2.0)
+    for given, limits in (({"robot": robot}, (robot.velocity, 4.0 * robot.velocity)), ({"velocity": 1.0}, (1.0, 4.0))):
+        assert time_path(path, **given).duration == lasts(*limits)
+    assert time_path(path, robot=robot, torque=np.inf).duration == lasts(robot.velocity, 4.0 * robot.velocity)
     for given, said in (
         ({}, "no velocity; give velocity= .rad/s, m/s., or robot="),
-        ({"velocity": 1.0}, "nothing limits how it accelerates; give acceleration="),
-        ({"robot": robot}, "nothing limits how it accelerates"),
-        ({"robot": robot, "torque": np.inf}, "nothing limits how it accelerates; .* with finite torque="),
+        ({"velocity": np.inf}, "acceleration is infinite; give finite numbers"),
     ):
         with pytest.raises(ValueError, match=said):
-            time_optimal(path, **given)
+            time_path(path, **given)
 
 
 def test_a_trajectory_is_shown_with_its_duration():
-    assert repr(time_optimal(LINE, 1.0, 2.0)).startswith("Trajectory(duration=1.5 s, path=JointPath(lengths=float64[1], ")
-    both = time_optimal(_stacked([LINE, LINE, JointPath(LINE.lengths * np.nan, LINE.coefficients)]), [[1.0], [0.5], [1.0]], 2.0)
+    assert repr(time_path(LINE, velocity=1.0, acceleration=2.0)).startswith(
+        "Trajectory(duration=1.5 s, path=JointPath(lengths=float64[1], "
+    )
+    both = time_path(
+        _stacked([LINE, LINE, JointPath(LINE.lengths * np.nan, LINE.coefficients)]),
+        velocity=[[1.0], [0.5], [1.0]],
+        acceleration=2.0,
+    )
     assert repr(both).startswith("Trajectory(duration=1.5 to 2.25 s, path=")
     shown = []
     jax.jit(lambda moved: shown.append(repr(moved)) or moved.duration)(both)
@@ -360,14 +395,18 @@ def test_a_weight_is_lifted_at_constant_power(power):
     """It rises by P / (m g), and nearly all the time is spent at that; there is little to speed up."""
     robot = jaxik.load("crops_v2").part(0, 1).mounted(np.eye(4))
     steady = 0.8 * 9.81 * float(robot.bodies[0].mass) / power
-    moved = time_optimal(JointPath.polyline([[0.1], [0.9]]), np.inf, np.inf, 60, robot=robot, power=power)
+    moved = time_path(
+        JointPath.polyline([[0.1], [0.9]]), velocity=np.inf, acceleration=np.inf, places=60, robot=robot, power=power
+    )
     assert 1.0 <= moved.duration / steady < 1.05
 
 
 def test_power_sets_the_pace_however_few_the_places():
     """Arms that are this weak do not feel their inertia: a tenth of the power takes ten times as long."""
     robot, path = jaxik.load("crops_v2").part(0, 3), JointPath.polyline([[0.1, 0.0, 0.5], [0.9, -0.5, 0.1], [0.3, 0.8, -0.9]])
-    weak, weaker = (time_optimal(path, np.inf, np.inf, 60, robot=robot, power=power) for power in (20.0, 2.0))
+    weak, weaker = (
+        time_path(path, velocity=np.inf, acceleration=np.inf, places=60, robot=robot, power=power) for power in (20.0, 2.0)
+    )
     assert weaker.duration / weak.duration == pytest.approx(10.0, rel=0.01)
     for moved, power in ((weak, 20.0), (weaker, 2.0)):
         found, rate = _torques(robot, moved)
@@ -382,7 +421,7 @@ def test_drives_that_hardly_hold_take_no_age():
             np.linspace(-1.5, 1.5, 9999)[:, None]
         )
     most = float(np.abs(held).max())
-    within = lambda more: time_optimal(path, 3.0, 5.0, 60, robot=robot, torque=most * (1.0 + more))
+    within = lambda more: time_path(path, velocity=3.0, acceleration=5.0, places=60, robot=robot, torque=most * (1.0 + more))
     with pytest.raises(ValueError, match=r"joint3 needs .* Nm at waypoint .* to stand still"):
         within(1e-7)
     assert within(0.01).duration < 10.0
@@ -390,22 +429,22 @@ def test_drives_that_hardly_hold_take_no_age():
 
 def test_torque_limits_that_are_none():
     robot, path = jaxik.load("crops_v2"), JointPath.polyline(np.eye(9)[:2])
-    with pytest.raises(ValueError, match=r"time_optimal: torque of shape \(3,\) is .*; allowed: one number or \(9,\), above"):
-        time_optimal(path, 1.0, 1.0, robot=robot, torque=np.ones(3))
-    with pytest.raises(ValueError, match="time_optimal: gravity of shape \\(\\); allowed: \\(3,\\)"):
-        time_optimal(path, 1.0, 1.0, robot=robot, torque=1e3, gravity=-9.81)
+    with pytest.raises(ValueError, match=r"time_path: torque of shape \(3,\) is .*; allowed: one number or \(9,\), above"):
+        time_path(path, velocity=1.0, acceleration=1.0, robot=robot, torque=np.ones(3))
+    with pytest.raises(ValueError, match="time_path: gravity of shape \\(\\); allowed: \\(3,\\)"):
+        time_path(path, velocity=1.0, acceleration=1.0, robot=robot, torque=1e3, gravity=-9.81)
     with pytest.raises(ValueError, match="acceleration is infinite"):  # a robot without limits sets none
-        time_optimal(path, 1.0, np.inf, robot=robot)
+        time_path(path, velocity=1.0, acceleration=np.inf, robot=robot)
     unknown = JointPath(path.lengths, np.where(path.coefficients == 1.0, np.nan, path.coefficients))
-    moved = time_optimal(_stacked([path, unknown]), 1.0, 1.0, robot=robot, torque=1e3)
+    moved = time_path(_stacked([path, unknown]), velocity=1.0, acceleration=1.0, robot=robot, torque=1e3)
     assert np.isfinite(moved.duration[0]) and np.isnan(moved.duration[1])
     np.testing.assert_array_equal(moved.path.coefficients[1], unknown.coefficients)
-    with pytest.raises(ValueError, match="time_optimal: torque and power are of a robot; write robot="):
-        time_optimal(path, 1.0, 1.0, power=3.0)
+    with pytest.raises(ValueError, match="time_path: torque and power are of a robot; write robot="):
+        time_path(path, velocity=1.0, acceleration=1.0, power=3.0)
     without, way = jaxik.load("ur5e"), np.eye(6)[:2]
-    with pytest.raises(ValueError, match=r"^time_optimal: ur5e has no bodies; write mass, com and inertia"):
-        time_optimal(JointPath.polyline(way), 1.0, 1.0, robot=without, torque=1.0)
+    with pytest.raises(ValueError, match=r"^time_path: ur5e has no bodies; write mass, com and inertia"):
+        time_path(JointPath.polyline(way), velocity=1.0, acceleration=1.0, robot=without, torque=1.0)
     with pytest.raises(ValueError, match=r"^optimise_trajectory: ur5e has no bodies; write mass, com and inertia"):
-        jaxik.planning.optimise_trajectory(without, None, *way, margin=None, torque=1.0)
-    with pytest.raises(ValueError, match="time_optimal: a path of 2 joints, and crops_v2 has 9"):
-        time_optimal(JointPath.polyline([[0.0, 0.0], [1.0, 1.0]]), 1.0, 1.0, robot=robot, torque=1.0)
+        jaxik.planning.optimise_trajectory(without, *way, collision=False, torque=1.0)
+    with pytest.raises(ValueError, match="time_path: a path of 2 joints, and crops_v2 has 9"):
+        time_path(JointPath.polyline([[0.0, 0.0], [1.0, 1.0]]), velocity=1.0, acceleration=1.0, robot=robot, torque=1.0)

@@ -23,7 +23,8 @@ from jaxik.spmd import HostKernel
 POLES = jaxik.make_scene(boxes=[[0.65, 0.0, 0.0, 0.3, 0.05, 0.5], [-0.5, 0.5, 0.0, 0.1, 0.3, 0.5]])
 START, GOAL = np.array([-0.6, 0.2, 0.1]), np.array([0.9, -0.3, 0.2])
 NEAR, ASIDE = np.array([0.3, 0.2, 0.1]), np.array([1.5, -0.3, 0.2])  # beside a pole, and away from it
-SOFT = {"margin": None, "collision_weight": 10.0, "activation": 0.25, "degree": 2, "spans": 24, "duration": 2.0, "rounds": 0}
+SOFT = {"collision": "penalty", "collision_weight": 10.0, "activation": 0.25, "degree": 2, "spans": 24, "duration": 2.0}
+SOFT |= {"acceleration": np.inf, "rounds": 0}
 
 FASTER = {"velocity_cost": 0.5e-3, "jerk_cost": 1e-6 / 2.0**5}  # the same costs of a motion that takes half as long
 
@@ -88,7 +89,7 @@ def sampled(trajectory, time):
 
 def _judged(found, coal, scene, margin, velocity, acceleration=np.inf, jerk=np.inf):
     """A motion, by samples a millimetre apart, and its derivatives by differences."""
-    assert found.reasons == "solved"
+    assert found.why == "solved"
     time = np.linspace(0.0, found.trajectory.duration, 4001)
     state = sampled(found.trajectory, time)
     assert coal.clearance(scene, state.q[::4]).min() >= margin - 1e-5
@@ -102,13 +103,13 @@ def test_free_between_samples_and_inside_limits(arm):
     robot, coal = arm
     limits = {"velocity": 1.5, "acceleration": 3.0, "jerk": 30.0}
     goals = np.stack([GOAL, [0.9, 0.2, -0.4]])
-    found = optimise_trajectory(robot, POLES, START, goals, margin=0.01, duration=4.0, spans=32, **limits)
+    found = optimise_trajectory(robot, [START] * 2, goals, scene=POLES, margin=0.01, duration=4.0, spans=32, **limits)
     assert found.success.all() and found.cost.shape == (2,) and found.trajectory.time.shape == (2, 33)
     for i, goal in enumerate(goals):
-        state = _judged(jax.tree_util.tree_map(lambda x: x[i], found), coal, POLES, 0.01, **limits)  # noqa: B023
+        state = _judged(found[i], coal, POLES, 0.01, **limits)
         np.testing.assert_allclose(state.q[[0, -1]], [START, goal], atol=1e-12)
         np.testing.assert_allclose(state.velocity[[0, -1]], 0.0, atol=1e-9)
-    quick = optimise_trajectory(robot, POLES, START, GOAL, margin=0.01, spans=32, **limits)
+    quick = optimise_trajectory(robot, START, GOAL, scene=POLES, margin=0.01, spans=32, **limits)
     state = _judged(quick, coal, POLES, 0.01, **limits)
     used = np.abs(state.velocity).max() / 1.5, np.abs(state.acceleration).max() / 3.0
     assert max(used) > 0.9  # but for control points, between which the curve stays
@@ -118,7 +119,7 @@ def test_pose_via_and_free_posture(arm):
     robot, coal = arm
     goal, over = (np.asarray(jaxik.forward_kinematics(robot, np.asarray(q))) for q in (ASIDE, [0.9, -0.8, 0.5]))
     task = {"task": jaxik.Task.position(), "via_task": jaxik.Task.position()}
-    found = optimise_trajectory(robot, POLES, NEAR, goal, via=[(0.5, over)], spans=32, **task)
+    found = optimise_trajectory(robot, NEAR, goal, scene=POLES, via=[(0.5, over)], spans=32, **task)
     state = _judged(found, coal, POLES, 0.0, 2.0)
     tip = lambda q: np.asarray(jaxik.forward_kinematics(robot, q))[:3, 3]
     np.testing.assert_allclose(tip(state.q[-1]), goal[:3, 3], atol=2e-6)
@@ -128,7 +129,7 @@ def test_pose_via_and_free_posture(arm):
 def test_as_good_as_scipy(arm):
     """The printed programme (6.4)-(6.10), written out, by SciPy's SLSQP from where nothing has been optimised."""
     robot, _ = arm
-    found = optimise_trajectory(robot, POLES, NEAR, ASIDE, velocity_cost=(0.5, 1.0), tolerance=1e-7, **SOFT)
+    found = optimise_trajectory(robot, NEAR, ASIDE, scene=POLES, velocity_cost=(0.5, 1.0), tolerance=1e-7, **SOFT)
     count, step = SOFT["spans"] + 1, SOFT["duration"] / SOFT["spans"]
     weight = np.full(count, step)
     weight[[0, -1]] *= 0.5
@@ -162,7 +163,7 @@ def test_within_torque_and_power_as_good_as_scipy():
     """At knots, as both have it there; and what is returned keeps the limits between them."""
     robot, start, end, spans, duration = jaxik.load("crops_v2").part(0, 3), [0.2, 0.0, 0.0], [0.6, 0.8, -0.7], 12, 0.6
     torque, power, span = np.array([603.0, 12.6, 27.9]), np.array([268.0, 9.6, 20.6]), duration / spans
-    options = {"duration": duration, "velocity": 9.0, "margin": None, "torque": torque, "power": power}
+    options = {"duration": duration, "velocity": 9.0, "collision": False, "torque": torque, "power": power}
     drives = jax.vmap(lambda *x: inverse_dynamics(robot, *x))
 
     def rows(x):
@@ -193,25 +194,27 @@ def test_within_torque_and_power_as_good_as_scipy():
     found = collocation.optimise(problem, points, 200, 1e-9)
     assert found.converged[0] and abs(found.cost[0] - truth.fun) <= 1e-6 * truth.fun
     for more in ({}, {"duration": None}):
-        moved = optimise_trajectory(robot, None, start, end, **options | more)
+        moved = optimise_trajectory(robot, start, end, **options | more)
         state = sampled(moved.trajectory, np.linspace(0.0, moved.trajectory.duration, 1001))
         used = drives(*state.state)
         most = np.abs(used).max(axis=0) / torque, np.abs(used * state.velocity).max(axis=0) / power
-        assert moved.reasons == "solved" and 0.95 < np.max(most) <= 1.0 + 1e-6
-    weak = optimise_trajectory(robot, None, start, end, torque=100.0, margin=None)
-    assert weak.reasons == "limits" and np.isnan(weak.trajectory.duration)  # 300 N hold the arm: told before any search
+        assert moved.why == "solved" and 0.95 < np.max(most) <= 1.0 + 1e-6
+    weak = optimise_trajectory(robot, start, end, torque=100.0, collision=False)
+    assert (
+        weak.where == "start" and weak.reason == Reason.LIMITS and np.isnan(weak.trajectory.duration)
+    )  # 300 N hold the arm: told before any search
     assert weak.iterations == 0
     pose = jaxik.forward_kinematics(robot, jnp.array([0.6, 0.8, 0.0]))  # which has one posture, that takes 12.7 Nm
-    heavy = optimise_trajectory(robot, None, [0.2, 0.0, -0.7], pose, torque=[600.0, 50.0, 11.0], margin=None)
-    assert heavy.reasons == "limits" and heavy.iterations == 0
+    heavy = optimise_trajectory(robot, [0.2, 0.0, -0.7], pose, torque=[600.0, 50.0, 11.0], collision=False)
+    assert heavy.where == "goal" and heavy.reason == Reason.LIMITS and heavy.iterations == 0
 
 
 def test_the_range_holds_between_knots(arm):
     robot, _ = arm
     bent = np.asarray(jaxik.forward_kinematics(robot, np.array([0.3, 2.79, -1.0])))
     task = {"via": [(0.5, bent)], "via_task": jaxik.Task(), "degree": 2, "spans": 4}
-    found = optimise_trajectory(robot, POLES, [0.3, 0.9, -1.0], [0.3, 2.6, -1.0], duration=2.0, velocity=np.inf, **task)
-    assert found.reasons == "solved"
+    found = optimise_trajectory(robot, [0.3, 0.9, -1.0], [0.3, 2.6, -1.0], scene=POLES, duration=2.0, velocity=np.inf, **task)
+    assert found.why == "solved"
     q = sampled(found.trajectory, np.linspace(0.0, 2.0, 401)).q
     assert 2.79 - 1e-6 <= q[:, 1].max() <= 2.8 + 1e-6
 
@@ -220,8 +223,10 @@ def test_what_obstacles_cost_is_what_is_asked(arm):
     """With a margin that is kept anyway and without; and each part of the cost in its place."""
     robot, _ = arm
     options = SOFT | {"degree": 3, "tolerance": 1e-6, "acceleration_cost": 0.0, "jerk_cost": 1e-4}
-    found, free = (optimise_trajectory(robot, POLES, NEAR, ASIDE, **options | {"margin": x}) for x in (0.0, None))
-    assert found.reasons == free.reasons == "solved"
+    found, free = (
+        optimise_trajectory(robot, NEAR, ASIDE, scene=POLES, **options | {"collision": x}) for x in ("constraint", "penalty")
+    )
+    assert found.why == free.why == "solved"
     np.testing.assert_allclose(found.parts, free.parts, rtol=1e-3, atol=1e-6)
     assert found.parts[1] == 0.0 and found.parts[[0, 2, 3]].min() > 0.0
 
@@ -231,7 +236,7 @@ def test_cost_by_the_way_does_not_know_of_time(arm):
     robot, _ = arm
     options = SOFT | {"arc_length": True, "velocity_cost": 1e-3, "degree": 3, "acceleration_cost": 0.0, "jerk_cost": 1e-6}
     found, fast = (
-        optimise_trajectory(robot, POLES, NEAR, ASIDE, **options | more) for more in ({}, {"duration": 1.0, **FASTER})
+        optimise_trajectory(robot, NEAR, ASIDE, scene=POLES, **options | more) for more in ({}, {"duration": 1.0, **FASTER})
     )
     assert fast.cost == pytest.approx(found.cost, rel=1e-3) and fast.parts[3] == pytest.approx(found.parts[3], rel=1e-3)
     moments = np.linspace(0.0, 2.0, 2001)
@@ -245,9 +250,9 @@ def test_cost_by_the_way_does_not_know_of_time(arm):
 def test_an_endless_joint_takes_the_shorter_turn(arm):
     robot, _ = arm
     goal, turn = np.array([1.5, -0.3, 4.0]), [0.0, 0.0, 2.0 * np.pi]
-    found = optimise_trajectory(robot, POLES, NEAR, goal, spans=32)
+    found = optimise_trajectory(robot, NEAR, goal, scene=POLES, spans=32)
     np.testing.assert_allclose(found.trajectory.at(found.trajectory.duration).q, goal - turn, atol=1e-6)
-    wound = optimise_trajectory(robot, POLES, NEAR, goal, np.linspace(NEAR, goal, 9), spans=32)
+    wound = optimise_trajectory(robot, NEAR, goal, scene=POLES, guess=np.linspace(NEAR, goal, 9), spans=32)
     np.testing.assert_allclose(wound.trajectory.at(wound.trajectory.duration).q, goal, atol=1e-6)
 
 
@@ -257,7 +262,7 @@ def test_cost_by_obstacles_and_links(arm):
     goal = np.asarray(jaxik.forward_kinematics(robot, ASIDE))
     ball = jaxik.make_scene(spheres=[[0.65, 0.0, 0.0, 0.1]])
     options = SOFT | {"tolerance": 1e-10, "iterations": 500, "task": jaxik.Task.position()}
-    found = optimise_trajectory(robot, ball, NEAR, goal, **options)
+    found = optimise_trajectory(robot, NEAR, goal, scene=ball, **options)
     guess = sampled(found.trajectory, np.linspace(0.0, 2.0, 97)).q
 
     def changed(x):
@@ -268,11 +273,16 @@ def test_cost_by_obstacles_and_links(arm):
         return dataclasses.replace(robot, parent_T_joint=links), moved
 
     def best(x):
-        end = optimise_trajectory(*jax.tree_util.tree_map(np.asarray, changed(x)), NEAR, goal, guess, **options)
+        arm_, ball_ = jax.tree_util.tree_map(np.asarray, changed(x))
+        end = optimise_trajectory(arm_, NEAR, goal, scene=ball_, guess=guess, **options)
         assert end.converged
         return end.cost
 
-    cost, slope = jax.jit(jax.value_and_grad(lambda x: trajectory_cost(*changed(x), found, goal, **options)))(jnp.zeros(2))
+    def least(x):
+        arm_, ball_ = changed(x)
+        return trajectory_cost(arm_, found, scene=ball_, goal=goal, **options)
+
+    cost, slope = jax.jit(jax.value_and_grad(least))(jnp.zeros(2))
     truth = [(best(step) - best(-step)) / 2e-4 for step in 1e-4 * np.eye(2)]
     assert np.abs(slope).min() > 0.1
     np.testing.assert_allclose(slope, truth, rtol=1e-3)
@@ -290,67 +300,95 @@ def test_a_link_sees_what_is_behind_its_neighbour():
         scene = jaxik.make_scene(capsules=[[x, y, 0.0, x, y, 1.0, 0.03]])
         return dataclasses.replace(scene, capsules=dataclasses.replace(scene.capsules, b=jnp.array([[x, y, top]])))
 
-    best = lambda top: optimise_trajectory(robot, jax.tree_util.tree_map(np.asarray, post(top)), start, goal, **options)
+    best = lambda top: optimise_trajectory(robot, start, goal, scene=jax.tree_util.tree_map(np.asarray, post(top)), **options)
     found, least, most = (best(z - 0.05 + h) for h in (0.0, -1e-4, 1e-4))
-    slope = jax.grad(lambda top: trajectory_cost(robot, post(top), found, **options))(z - 0.05)
+    slope = jax.grad(lambda top: trajectory_cost(robot, found, scene=post(top), **options))(z - 0.05)
     assert slope > 0.1 and found.iterations < 50
     np.testing.assert_allclose(slope, (most.cost - least.cost) / 2e-4, rtol=1e-2)
     beside, alone = post(z - 0.05), dataclasses.replace(robot, self_pairs=())
     near = lambda q: jnp.concatenate([link_clearances(robot, None, q), link_clearances(alone, beside, q)])
     each = jax.vmap(lambda q: collision_cost(near(q), 0.1).sum())(sampled(found.trajectory, np.linspace(0.0, 2.0, 25)).q)
     np.testing.assert_allclose(found.parts[3], 10.0 * np.trapezoid(each, dx=2.0 / 24), rtol=1e-6)
-    kept = options | {"margin": 0.0, "rounds": 9}
-    held = optimise_trajectory(robot, beside, start, goal, **kept)  # a margin, too, of each by itself
-    np.testing.assert_allclose(trajectory_cost(robot, beside, held, **kept), held.cost, rtol=1e-7)
+    kept = options | {"collision": "constraint", "rounds": 9}
+    held = optimise_trajectory(robot, start, goal, scene=beside, **kept)  # a margin, too, of each by itself
+    np.testing.assert_allclose(trajectory_cost(robot, held, scene=beside, **kept), held.cost, rtol=1e-7)
 
 
 def test_reasons(arm):
     robot, _ = arm
     starts = np.stack([START, [0.0, 0.0, 0.0], [np.nan, 0.0, 0.0], START, START])
     goals = np.stack([GOAL, GOAL, GOAL, [3.0, 0.0, 0.0], START])
-    found = optimise_trajectory(robot, POLES, starts, goals, spans=32)
+    found = optimise_trajectory(robot, starts, goals, scene=POLES, spans=32)
     assert found.reason.tolist() == [Reason.SOLVED, Reason.COLLISION, Reason.INVALID, Reason.LIMITS, Reason.SOLVED]
+    assert found.where == ("", "start", "start", "goal", "") and [bool(each) for each in found] == [True, *3 * [False], True]
     assert np.isnan(found.trajectory.time[1:4]).all() and found.trajectory.duration[4] == 0.0
     np.testing.assert_array_equal(found.trajectory.path.coefficients[4, :, :3], 0.0)
     far = np.eye(4)
     far[0, 3] = 5.0
-    assert optimise_trajectory(robot, POLES, START, far, spans=32).reasons == "out of reach"
-    hasty = optimise_trajectory(robot, POLES, START, GOAL, duration=0.1, velocity=1.0, spans=32, rounds=0)
-    assert hasty.reasons != "solved"
-    for start, goal in ((START, np.zeros((0, 3))), ([], [])):
-        none = optimise_trajectory(robot, POLES, start, goal, spans=32)
+    assert optimise_trajectory(robot, START, far, scene=POLES, spans=32).why.startswith(
+        "goal: out of reach; give a pose within reach"
+    )
+    hasty = optimise_trajectory(robot, START, GOAL, scene=POLES, duration=0.1, velocity=1.0, spans=32, rounds=0)
+    assert not hasty and hasty.where == ""
+    for start, goal in ((START, np.zeros((0, 4, 4))), (np.zeros((0, 3)), GOAL), ([], [])):
+        none = optimise_trajectory(robot, start, goal, scene=POLES, spans=32)
         assert none.reason.shape == (0,) and none.trajectory.time.shape == (0, 33)
 
 
 def test_a_robot_without_shapes():
     """It moves as one with shapes does that has nothing to hit, and nothing is asked of shapes."""
-    robot, scene, ends = jaxik.load("crops_v2").part(0, 3), jaxik.make_scene(), ([0.2, 0.0, 0.0], [0.6, 0.8, -0.7])
+    robot, ends = jaxik.load("crops_v2").part(0, 3), ([0.2, 0.0, 0.0], [0.6, 0.8, -0.7])
     bare = dataclasses.replace(robot, boxes=(), volumes=(), self_pairs=())
-    options = {"margin": None, "spans": 12, "duration": 0.6, "velocity": 9.0, "torque": [603.0, 12.6, 27.9]}
-    found, like = (optimise_trajectory(each, None, *ends, **options) for each in (bare, robot))
-    assert found.reasons == like.reasons == "solved"
+    options = {"collision": False, "spans": 12, "duration": 0.6, "velocity": 9.0, "torque": [603.0, 12.6, 27.9]}
+    found, like = (optimise_trajectory(each, *ends, **options) for each in (bare, robot))
+    assert found.why == like.why == "solved"
     np.testing.assert_allclose(found.cost, like.cost, rtol=1e-9)
     pose = np.asarray(jaxik.forward_kinematics(bare, np.array(ends[1])))
-    assert optimise_trajectory(bare, scene, ends[0], pose, task=jaxik.Task.position(), **options).reasons == "solved"
-    for asks in ({"margin": 0.0}, {"collision_weight": 1.0}):
+    assert optimise_trajectory(bare, ends[0], pose, task=jaxik.Task.position(), **options).why == "solved"
+    for asks in ({"collision": "constraint"}, {"collision": "penalty", "collision_weight": 1.0}):
         with pytest.raises(ValueError, match="crops_v2: has no collision geometry"):
-            optimise_trajectory(bare, None, *ends, **options | asks)
+            optimise_trajectory(bare, *ends, **options | asks)
+    with pytest.raises(ValueError, match="a scene with collision=False"):
+        optimise_trajectory(bare, *ends, scene=POLES, **options)
+
+
+def test_of_several_goals_the_cheapest_is_reached(arm):
+    """NaN fills up where others have more, and what collides is left out."""
+    robot, _ = arm
+    told = []
+    goals = np.array([[GOAL, [0.0, 0.0, 0.0], [0.9, 0.2, -0.4]], [ASIDE, *np.full((2, 3), np.nan)]])
+    found = optimise_trajectory(robot, [START, NEAR], goals, scene=POLES, spans=32, progress=lambda *x: told.append(x))
+    alone = [optimise_trajectory(robot, START, goal, scene=POLES, spans=32) for goal in (GOAL, [0.9, 0.2, -0.4])]
+    assert found.success.all() and found.cost[0] == pytest.approx(min(each.cost for each in alone), rel=1e-3)
+    np.testing.assert_allclose(found[1].trajectory.at(found[1].trajectory.duration).q, ASIDE, atol=1e-6)
+    assert told[0] == (0, 2) and told[-1] == (2, 2)
+
+
+def test_accelerations_are_limited_unless_they_are_given(arm):
+    """Four times the velocity a second, as in `plan_motion`; none within torque."""
+    robot, _ = arm
+    assert TrajectoryOptions(velocity=1.5).limits(robot)[1].tolist() == [6.0] * 3
+    assert TrajectoryOptions(velocity=1.5, acceleration=np.inf).limits(robot)[1].tolist() == [np.inf] * 3
+    heavy = jaxik.load("crops_v2").part(0, 3)
+    assert np.isinf(TrajectoryOptions(velocity=1.5, torque=100.0).limits(heavy)[1]).all()
 
 
 @pytest.mark.parametrize(
     "changes, said",
     [
         ({"goal": np.zeros(2)}, "goal of shape"),
-        ({"start": np.zeros((3, 3)), "goal": np.zeros((2, 3))}, "3 starts, 2 goals"),
+        ({"start": np.zeros((3, 3)), "goal": np.zeros((2, 3))}, r"start of shape \(3, 3\), goal of shape \(2, 3\); allowed"),
         ({"duration": 0.0}, "duration is 0"),
-        ({"degree": 4}, "degree 4"),
+        ({"degree": 4}, "degree is 4; at most 3"),
         ({"degree": 2, "jerk": 1.0}, "no jerk"),
-        ({"velocity": -1.0}, r"velocity is -1.0; allowed: one number or \(3,\), above zero .rad/s, m/s."),
-        ({"jerk": [1.0, 2.0]}, r"jerk of shape \(2,\) is .1.0, 2.0.; allowed: one number or \(3,\)"),
-        ({"power": 0.0}, r"power is 0.0; allowed: one number or \(3,\), above zero .W."),
+        ({"velocity": -1.0}, "velocity .rad/s, m/s. is -1.0; allowed: one number, or one a joint, all above zero"),
+        ({"jerk": [1.0, 2.0]}, r"jerk of shape \(2,\) is .1.0, 2.0.; allowed: one number or \(3,\), above zero .rad/s3, m/s3."),
+        ({"power": 0.0}, "power .W. is 0.0; allowed: one number, or one a joint, all above zero"),
         ({"rounds": 2.5}, "rounds is 2.5; allowed: a count, which is an integer and at least 0"),
         ({"arc_length": "no"}, "arc_length is no; allowed: True, False"),
         ({"margin": ""}, "margin is ; it is a finite number"),
+        ({"collision": "ignore"}, "collision 'ignore'; allowed: constraint, penalty"),
+        ({"collision": False, "scene": None, "collision_weight": 1.0}, "collision_weight with collision=False"),
         ({"guess": np.zeros((1, 3))}, "guess of shape"),
         ({"guess": np.zeros((3, 5, 3))}, "guess of shape"),
         ({"via": [(1.5, np.eye(4))]}, "share 1.5"),
@@ -366,5 +404,5 @@ def test_a_robot_without_shapes():
 )
 def test_what_is_refused(arm, changes, said):
     with pytest.raises(ValueError, match=said) as error:
-        optimise_trajectory(arm[0], POLES, **{"start": START, "goal": GOAL} | changes)
+        optimise_trajectory(arm[0], **{"scene": POLES, "start": START, "goal": GOAL} | changes)
     assert "\n" not in str(error.value)
