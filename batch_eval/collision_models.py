@@ -34,7 +34,7 @@ from race import machine
 from triangle_truth import in_coal
 
 import jaxik
-from jaxik.collision.bvh import WITHIN
+from jaxik.collision.own_shape import WITHIN
 
 # hulls: capsules around the hull of each mesh, and nothing else
 SETTINGS = {

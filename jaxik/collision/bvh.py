@@ -11,7 +11,7 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,29 +19,18 @@ import numpy as np
 from jax import lax
 
 from jaxik.checks.arrays import is_known
+from jaxik.collision.leaf_rows import SLACK, Balls
+from jaxik.collision.own_shape import CLOSE, Own, own_shapes, shape_of, told_below
 from jaxik.collision.scene import FAR, SHAPES, SIZES_OF, Scene, check_scene, remembered, with_zeros
-from jaxik.collision.surface_trees import Trees, forest, tree_of
 from jaxik.collision.volumes import local_volumes
 from jaxik.kinematics.link_distance_table import PairTable
-from jaxik.kinematics.robot import Robot, geometry_between, known_parts, solid_links
-from jaxik.kinematics.shapes import Surface, hashed
+from jaxik.kinematics.robot import Robot, geometry_between, solid_links
 from jaxik.pytree import static
 
 # obstacles a leaf, where there are a few
 LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1, "triangles": 1}
 FAN = 4  # leaves a branch, at least
-WITHIN = 0.025  # [m] of volumes' distance, below which an exact robot's own surfaces decide: volumes stand so far out of them
-NEAR = 0.010  # likewise, convex parts
-CLOSE = 0.003  # [m] beyond a margin, likewise, where nothing but whether it is kept is asked for
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
-SLACK = 1e-4  # [m] that a bounding sphere is larger: nothing is lost to rounding in float32, 100 m from the origin
-
-
-class Balls(NamedTuple):
-    """Bounding spheres: centres (b, 3) and radii (b,) [m]."""
-
-    center: Any
-    radius: Any
 
 
 @jax.tree_util.register_dataclass
@@ -67,45 +56,6 @@ class Obstacles:
     ignores: tuple[tuple[int, str], ...] = static()
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class OwnSurfaces:
-    """The surfaces of an exact robot, a tree a part (`RobotTrees.links`), the joint of each triangle (t,), and the numbers of
-    some triangles, one a shape: part p has `points[first[p]]` to `points[first[p + 1]]`, not counted. They decide where
-    volumes are nearer than `within` [m]. `of` says which links' (`_shape_of`)."""
-
-    trees: Trees
-    joint: Any
-    points: Any
-    first: Any
-    within: Any
-    of: str = static()
-    ignores: tuple[tuple[int, str], ...] = static()
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class OwnParts:
-    """A robot's convex bodies; part p (`RobotTrees.links`) has those from `first[p]` to `first[p + 1]`, not counted:
-    body b is the hull of the `corners` (c, 3) from `begins[b]` to `begins[b + 1]` in its joint's frame, and what is within its
-    `radius` of that, all in a box along that frame's axes, of a `center` (3,) and `half` its edges (3,). They are a link's
-    convex parts, where `closer[p]`, else its volumes. They decide where volumes are nearer than `within` [m]. `of` says which
-    links' (`_shape_of`)."""
-
-    corners: Any
-    begins: Any
-    radius: Any
-    joint: Any
-    center: Any
-    half: Any
-    first: Any
-    closer: Any
-    within: Any
-    of: str = static()
-    ignores: tuple[tuple[int, str], ...] = static()
-
-
-Own = OwnSurfaces | OwnParts
 Grouped = tuple[Obstacles | Own, ...]
 
 
@@ -123,7 +73,7 @@ def grouped(scene: Scene | Grouped | None, robot: Robot, by_object: bool = False
             raise ValueError(
                 f"{robot.name}: the obstacles are grouped for another robot's `ignored`; group the scene for this one"
             )
-        known = any(own.of == _shape_of(robot) for own in own_in(scene))
+        known = any(own.of == shape_of(robot) for own in own_in(scene))
         return scene if known else obstacles_in(scene) + own_shapes(robot)
     if not scene.concrete:
         check_scene(scene)
@@ -134,18 +84,23 @@ def grouped(scene: Scene | Grouped | None, robot: Robot, by_object: bool = False
 
 
 def obstacles_in(around: Grouped) -> tuple[Obstacles, ...]:
-    """Those of the scene."""
+    """The obstacles of the scene."""
     return tuple(each for each in around if isinstance(each, Obstacles))
 
 
-def own_in(around: Grouped) -> tuple[Own, ...]:
-    """The robot's own surfaces, or convex parts, or none."""
-    return tuple(each for each in around if not isinstance(each, Obstacles))
+def own_in(around: Grouped, kind: type[Own] = Own) -> tuple[Any, ...]:
+    """The robot's own shapes of a `kind`, `OwnSurfaces` or `OwnParts`, or all; or none."""
+    return tuple(each for each in around if isinstance(each, kind))
 
 
-def surfaces_in(around: Grouped) -> tuple[OwnSurfaces, ...]:
-    """The robot's own surfaces, or none."""
-    return tuple(each for each in around if isinstance(each, OwnSurfaces))
+def at_margin(around: Grouped, margin: Any) -> Grouped:
+    """The same for what only asks whether a `margin` is kept [m]: a robot's own shape decides up to `CLOSE` beyond it."""
+    return decided_within(around, lambda _: told_below(CLOSE, margin))
+
+
+def decided_within(around: Grouped, within: Callable[[float], Any]) -> Grouped:
+    """The same, where a robot's own shape decides what its volumes are nearer to than `within(usual)` [m]."""
+    return tuple(each.decided(within) if isinstance(each, Own) else each for each in around)
 
 
 def bits(ignored: tuple[tuple[int, str], ...]) -> dict[int, int]:
@@ -154,113 +109,6 @@ def bits(ignored: tuple[tuple[int, str], ...]) -> dict[int, int]:
     if len(links) > 31:
         raise ValueError(f"ignore: {len(links)} links of which objects are ignored; allowed: 31")
     return {link: 1 << k for k, link in enumerate(links)}
-
-
-def own_shapes(robot: Robot) -> tuple[Own, ...]:
-    """What decides where a robot's volumes are too near to tell: surfaces of an exact one, convex parts of one with fitted
-    meshes, if they speak of its volumes as they are."""
-    parts = _known_parts(robot) if robot.concrete else _own_parts(robot)
-    if not robot.surfaces:
-        return parts
-    known = {each.link for each in robot.surfaces}
-    for link in solid_links(robot):
-        if link not in known:
-            name = robot.link_names[link]
-            raise ValueError(f"{robot.name}: exact, but {name} has no surface; give it one in `surfaces`, or leave all out")
-    own = _own_surfaces(robot.surfaces, tuple(solid_links(robot)[::-1]), robot.link_joint, robot.ignored, _shape_of(robot))
-    return own, *parts
-
-
-@functools.lru_cache(maxsize=16)
-def _own_surfaces(
-    surfaces: tuple[Surface, ...],
-    links: tuple[int, ...],
-    link_joint: tuple[int, ...],
-    ignored: tuple[tuple[int, str], ...],
-    shape: str,
-) -> OwnSurfaces:
-    of = {each.link: each for each in surfaces}
-    parts = [of[link] for link in links]
-    trees = forest([tree_of(s.corners, s.radius, s.solid) for s in parts])
-    sizes, points = [len(s.corners) for s in parts], [len(s.points) for s in parts]
-    starts = np.cumsum([0, *sizes])[:-1]
-    joint = np.repeat([link_joint[link] for link in links], sizes).astype(np.int32)
-    number = np.concatenate([s.points + start for s, start in zip(parts, starts, strict=True)]).astype(np.int32)
-    return OwnSurfaces(trees, joint, number, np.cumsum([0, *points]).astype(np.int32), np.asarray(WITHIN), shape, ignored)
-
-
-def _shape_of(robot: Robot) -> str:
-    """A hash of a robot's links and their shapes, but for what JAX arrays hold: those are operands of its kernels."""
-    return _known_shape(robot) if robot.concrete else _hash_of(robot)
-
-
-def _hash_of(robot: Robot) -> str:
-    shapes = jax.tree_util.tree_leaves(
-        [(v.corners, v.radius) for v in robot.volumes] + [(b.joint_T_box, b.half) for b in robot.boxes]
-    )
-    fixed = [x for x in shapes if not isinstance(x, jax.Array)]
-    return hashed((solid_links(robot), robot.link_joint, robot.convex_parts, [np.shape(x) for x in shapes]), fixed)
-
-
-def _own_parts(robot: Robot) -> tuple[OwnParts, ...]:
-    """None where no link's volumes are those that its parts are known for, or these are traced."""
-    if not robot.convex_parts or not is_known((robot.volumes, robot.boxes)):
-        return ()
-    fitted: dict[int, list[tuple[np.ndarray, float]]] = {}
-    for part in known_parts(robot):
-        fitted.setdefault(part.link, []).append((part.corners, part.radius))
-    if not fitted:
-        return ()
-    links, plain = solid_links(robot)[::-1], _plain_bodies(robot)
-    of = [fitted.get(link) or plain[link] for link in links]
-    bodies = [body for each in of for body in each]
-    starts = lambda sizes: np.cumsum([0, *sizes]).astype(np.int32)
-    corners, radius = np.concatenate([c for c, _ in bodies]), np.array([r for _, r in bodies])
-    low, high = (np.array([f(c, axis=0) + s * (r + SLACK) for c, r in bodies]) for f, s in ((np.min, -1.0), (np.max, 1.0)))
-    center, half = (high + low) / 2.0, (high - low) / 2.0
-    joint = np.repeat([robot.link_joint[link] for link in links], [len(each) for each in of]).astype(np.int32)
-    closer = np.array([link in fitted for link in links])
-    begins, first = starts(len(c) for c, _ in bodies), starts(map(len, of))
-    return (
-        OwnParts(
-            corners, begins, radius, joint, center, half, first, closer, np.asarray(NEAR), _shape_of(robot), robot.ignored
-        ),
-    )
-
-
-def _plain_bodies(robot: Robot) -> dict[int, list[tuple[np.ndarray, float]]]:
-    """Each link's volumes."""
-    found: dict[int, list[tuple[np.ndarray, float]]] = {}
-    for corners, radius, link in filter(None, (local_volumes(robot, count) for count in (1, 2, 3))):
-        for owner, *volume in zip(link.tolist(), np.asarray(corners), np.asarray(radius).tolist(), strict=True):
-            found.setdefault(owner, []).append((volume[0], volume[1]))
-    return found
-
-
-_known_parts = functools.lru_cache(maxsize=64)(_own_parts)
-_known_shape = functools.lru_cache(maxsize=64)(_hash_of)
-
-
-@functools.lru_cache(maxsize=64)
-def by_volumes(robot: Robot) -> Robot:
-    """An exact robot as its volumes and convex parts know it, which hold its surfaces; any other as it is."""
-    return dataclasses.replace(robot, surfaces=()) if robot.surfaces else robot
-
-
-def at_margin(around: Grouped, margin: Any, resolution: float = CLOSE) -> Grouped:
-    """The same for what only asks whether a `margin` is kept [m], to some resolution: a robot's own shape decides no further
-    from it."""
-    return decided_within(around, lambda _: (np if is_known(margin) else jnp).maximum(margin, 0.0) + resolution)
-
-
-def decided_within(around: Grouped, within: Callable[[float], Any]) -> Grouped:
-    """The same, where a robot's own shape decides what its volumes are nearer to than `within(usual)` [m]."""
-
-    def changed(own: Own) -> Own:
-        told = within(WITHIN if isinstance(own, OwnSurfaces) else NEAR)
-        return dataclasses.replace(own, within=(np if is_known(told) else jnp).asarray(told, own.within.dtype))
-
-    return tuple(each if isinstance(each, Obstacles) else changed(each) for each in around)
 
 
 def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool) -> tuple[Obstacles, ...]:

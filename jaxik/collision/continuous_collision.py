@@ -30,8 +30,9 @@ from jaxtyping import Bool, Float, Int
 
 from jaxik.checks.arrays import Array, as_shaped, is_known, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
-from jaxik.collision.bvh import CLOSE, balls_of, decided_within, grouped, obstacles_in, own_in, pair_tables
+from jaxik.collision.bvh import balls_of, decided_within, grouped, obstacles_in, own_in, pair_tables
 from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_clearances
+from jaxik.collision.own_shape import CLOSE, told_below
 from jaxik.collision.scene import FAR, KINDS, Scene
 from jaxik.collision.volumes import box_spheres, xp_of
 from jaxik.kinematics.forward import joint_frames
@@ -207,7 +208,7 @@ def _asked_of(scene: Any, asked: _Asked) -> Any:
     precise = jnp.maximum(CLOSE, 2.0 * asked.resolution)
 
     def within(usual: float) -> Any:
-        plain = jnp.maximum(jnp.asarray(usual, precise.dtype), asked.margin + precise)
+        plain = told_below(usual, asked.margin, precise)
         told = jnp.where(asked.enough > plain, plain, jnp.maximum(asked.enough, 0.0) + precise)
         return jnp.where(asked.margin < 0.0, -FAR, told)
 

@@ -11,10 +11,9 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxik.checks.arrays import stop_gradients
-from jaxik.collision.bvh import OwnParts
 from jaxik.collision.gjk import Support, farthest, separation
 from jaxik.collision.leaf_rows import Found, count_of, entry, nearest_of, row_at
-from jaxik.collision.own_shape import OwnShape
+from jaxik.collision.own_shape import OwnParts, OwnShape
 from jaxik.collision.shape_distances import Gap, box_gap, cylinder_gap, skeleton_gap, triangle_gap
 from jaxik.collision.surface_trees import square_between, square_beyond, wanted
 from jaxik.spatial.algebra import Frame, Rot3, Vec3, safe_sqrt, traced

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxik.collision.bvh import OwnSurfaces
 from jaxik.collision.convex_pairs import Parts
 from jaxik.collision.leaf_rows import Found, either, entry, nearest_of, row_at, rows_from
-from jaxik.collision.own_shape import OwnShape
+from jaxik.collision.own_shape import OwnShape, OwnSurfaces
 from jaxik.collision.scene import FAR
+from jaxik.collision.shape_distances import Gap, outside
 from jaxik.collision.surface_trees import square_beyond, surface_gap, triangle_at, walk, wanted, winds_around
 from jaxik.spatial.algebra import Rot3, Vec3
 
@@ -128,6 +128,10 @@ class Exact(OwnShape):
             return then(frame @ triangle_at(self.trees, triangle, self.space.dtype)[0], self.first + triangle, state)
 
         return lax.fori_loop(entry(self.own.first, p), entry(self.own.first, p + 1), one, state)
+
+    def apart(self, gap: Gap) -> Gap:
+        """The gap of a triangle to what it does not meet."""
+        return outside(gap)
 
     @property
     def solid(self) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,8 +10,14 @@ from jax import lax
 
 from jaxik.spatial.algebra import Vec3
 
-if TYPE_CHECKING:
-    from jaxik.collision.bvh import Balls
+SLACK = 1e-4  # [m] that a bounding sphere is larger: nothing is lost to rounding in float32, 100 m from the origin
+
+
+class Balls(NamedTuple):
+    """Bounding spheres: centres (b, 3) and radii (b,) [m]."""
+
+    center: Any
+    radius: Any
 
 
 class Found(NamedTuple):

@@ -19,11 +19,12 @@ from jax import lax
 
 from jaxik.checks.arrays import is_known
 from jaxik.collision import bvh, distance
-from jaxik.collision.bvh import Grouped, RobotTrees, Volumes
+from jaxik.collision.bvh import Grouped, RobotTrees
 from jaxik.collision.convex_pairs import Parts
 from jaxik.collision.exact_pairs import Exact
 from jaxik.collision.leaf_rows import Found, as_columns, count_of, entry, nearest_of, row_at, rows_from
-from jaxik.collision.shape_distances import Gap, depth_gap, obstacles_of, outside, skeleton_gap, square_gap, triangle_gap
+from jaxik.collision.own_shape import OwnParts, OwnSurfaces
+from jaxik.collision.shape_distances import Gap, depth_gap, obstacles_of, skeleton_gap, square_gap, triangle_gap
 from jaxik.collision.solids import Solids
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.link_distance_table import interpolated
@@ -88,9 +89,9 @@ class Space:
 
     def _own_shape(self, around: Grouped, origin: int) -> Exact | Parts | None:
         """What decides where volumes are near, numbered from `origin` on: surfaces, or else convex parts."""
-        first, parts = self.first[-1], next((each for each in around if isinstance(each, bvh.OwnParts)), None)
-        known = None if parts is None else Parts(self, parts, first, origin)
-        return next((Exact(self, own, first, origin, known) for own in bvh.surfaces_in(around)), known)
+        first = self.first[-1]
+        parts = next((Parts(self, own, first, origin) for own in bvh.own_in(around, OwnParts)), None)
+        return next((Exact(self, own, first, origin, parts) for own in bvh.own_in(around, OwnSurfaces)), parts)
 
     # ----------------------------------------------------------------------------------------------------------------
     # Which pairs
@@ -349,7 +350,7 @@ class Space:
     def _of_pair(self, found: Found, function: Callable[..., Any], nothing: Any) -> Any:
         """`function(gap, own, other, joints)` of a found pair, or `nothing`; the joints are those that move the one and the
         other."""
-        value, touch = nothing, self.own.touch(found) if isinstance(self.own, Parts) else None
+        value, touch = nothing, None if self.own is None else self.own.touch(found)
         for volumes, origin, others, theirs, gap in self._kinds_of_pairs(found):
             own_count, count = len(volumes.radius), len(theirs.radius) if theirs is not None else count_of(others.columns)
             i, j = found.mine - origin, found.other - others.origin
@@ -358,12 +359,11 @@ class Space:
             def inside(value: Any, v: Any = (volumes, others, theirs, i, j, gap)) -> Any:
                 volumes, others, theirs, i, j, gap = v
                 above, below = entry(volumes.joint, i), entry(theirs.joint, j) if theirs is not None else jnp.int32(0)
-                if isinstance(volumes, Parts):
-                    own, other = volumes.pair(i, j if theirs is not None else row_at(others.columns, j), gap, touch)
-                else:
-                    own = self._volume(volumes, i)
-                    other = self._volume(theirs, j) if theirs is not None else row_at(others.columns, j)
-                return function(gap, own, other, (above, below))
+                other = j if theirs is not None else row_at(others.columns, j)
+                if self.own is not None and volumes is self.own:
+                    return function(gap, *self.own.pair(i, other, gap, touch), (above, below))
+                beside = self.volume(theirs, j) if theirs is not None else other
+                return function(gap, self.volume(volumes, i), beside, (above, below))
 
             value = lax.cond(here, inside, lambda value: value, value)
         return value
@@ -378,13 +378,13 @@ class Space:
                 yield volumes, origin, others, theirs, others.gap if k < self.inner else depth
         if self.own is None:
             return
-        apart: Callable[[Gap], Gap] = outside if isinstance(self.own, Exact) else lambda gap: gap
+        apart = self.own.apart
         yield self.own, self.own.first, self.own, self.own, apart(skeleton_gap)
         for k, others in enumerate(self.others):
             if not around <= k < self.inner:
                 yield self.own, self.own.first, others, None, apart(others.gap) if k < self.inner else depth
 
-    def _volume(self, volumes: Volumes | Exact, i: Any) -> Any:
+    def volume(self, volumes: Any, i: Any) -> Any:
         """One volume, whose number may differ from lane to lane."""
         joint, local = entry(volumes.joint, i), entry(jnp.asarray(volumes.corners, self.dtype), i)
         frame = Frame.of_entries(traced(entry(self.frames, joint)))

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.collision.bvh import by_volumes, decided_within, grouped, obstacles_in, surfaces_in
+from jaxik.collision.bvh import decided_within, grouped, obstacles_in, own_in
+from jaxik.collision.own_shape import OwnSurfaces, by_volumes
 from jaxik.costs import comfort_cost, joint_limit_margin
 from jaxik.ik.problem import Problem
 from jaxik.ik.sqp_programs import batch, clearance_around
@@ -81,7 +82,7 @@ def cleared(problem: Problem, found: Found) -> Found:
     """With their clearance, where there is a scene."""
     if problem.scene is None or not len(found.q):
         return found
-    exact, program = surfaces_in(problem.scene), batch(1, clearance_around, problem.robot)
+    exact, program = own_in(problem.scene, OwnSurfaces), batch(1, clearance_around, problem.robot)
     if not exact:
         return found._replace(clearance=in_blocks(program, found.q, fixed=(problem.scene,), double=True)[0])
     model = by_volumes(problem.robot)

@@ -18,9 +18,10 @@ from jaxtyping import Float, Int
 
 from jaxik.checks.options import check_kind
 from jaxik.collision.always_colliding import warn_of_scene
-from jaxik.collision.bvh import CLOSE, Grouped, decided_within, own_in
+from jaxik.collision.bvh import Grouped, decided_within, own_in
 from jaxik.collision.clearances import check_geometry, has_geometry
 from jaxik.collision.contact_report import Contact, explain
+from jaxik.collision.own_shape import told_below
 from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.ik.multistart import Outcome, search
@@ -201,7 +202,7 @@ def _result(problem: Problem, outcome: Outcome) -> IKResult:
         last[ranked.target] = np.arange(len(ranked.target))
         shown = ranked.rows(last)
     if problem.scene is not None and own_in(problem.scene):  # the search looked no further than the margin
-        around = decided_within(problem.scene, lambda usual: max(usual, problem.options.margin + CLOSE))
+        around = decided_within(problem.scene, lambda usual: told_below(usual, problem.options.margin))
         shown = cleared(dataclasses.replace(problem, scene=around), shown)
     if problem.most > 1:
         best = found.rows(far_apart(problem, found, score, problem.most, problem.options.distinct))

@@ -44,8 +44,20 @@ class Volume(Constant):
     link: int = static()
 
 
+class _Value:
+    """An object that is known by its `digest`, a hash of everything in it: equal numbers, equal object."""
+
+    digest: Any
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (type(other) is type(self) and self.digest == other.digest)
+
+
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class ConvexPart:
+class ConvexPart(_Value):
     """A convex part of a link: the hull of `corners` (c, 3) [m] in the frame of the link's joint, and what is within `radius`
     [m] of it. All of a link's together hold its shapes, and decide where its volumes are too near to tell; `geometry` says
     which volumes these are (`link_geometry`): the parts know nothing of others. A value: equal numbers, equal part."""
@@ -68,12 +80,6 @@ class ConvexPart:
         """A hash of everything in it."""
         return hashed((self.link, self.geometry), [self.corners, self.radius])
 
-    def __hash__(self) -> int:
-        return hash(self.digest)
-
-    def __eq__(self, other: object) -> bool:
-        return self is other or (isinstance(other, ConvexPart) and self.digest == other.digest)
-
     def __repr__(self) -> str:  # by which a robot's digest knows it
         return f"ConvexPart(link={self.link}, corners={len(self.corners)}, digest={self.digest})"
 
@@ -92,7 +98,7 @@ class Unchecked:
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class Surface:
+class Surface(_Value):
     """Triangles of a link, `corners` (t, 3, 3) [m] in the frame of the link's joint, and what is within `radius` (t,) [m] of
     them. `shape` (t,) is the number of the shape that each belongs to, from 0 on in order; `solid` (t,) whether that shape
     closes, and so has an inside. A value: equal numbers, equal surface."""
@@ -138,12 +144,6 @@ class Surface:
         for each in (self.corners, self.radius, self.solid, self.shape):
             content.update(np.ascontiguousarray(each).tobytes())
         return content.hexdigest()
-
-    def __hash__(self) -> int:
-        return hash(self.digest)
-
-    def __eq__(self, other: object) -> bool:
-        return self is other or (isinstance(other, Surface) and self.digest == other.digest)
 
     def __repr__(self) -> str:
         return f"Surface(link={self.link}, triangles={len(self.corners)}, digest={self.digest})"

@@ -9,9 +9,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxik.collision.bvh import by_volumes, grouped
+from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import by_object, collides
 from jaxik.collision.continuous_collision import joint_reaches, motion_collides, size_of
+from jaxik.collision.own_shape import by_volumes
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.joint_turns import endless, whole_turns
 from jaxik.kinematics.robot import Robot

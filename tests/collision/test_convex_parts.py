@@ -13,8 +13,9 @@ from meshed_arm import Truth, arm_file, drawn, measured
 from scipy.spatial.transform import Rotation
 
 import jaxik
-from jaxik.collision.bvh import NEAR, grouped
+from jaxik.collision.bvh import grouped
 from jaxik.collision.gjk import separation
+from jaxik.collision.own_shape import NEAR
 from jaxik.kinematics import link_frames
 from jaxik.kinematics.shapes import brick
 from jaxik.spatial.algebra import Vec3

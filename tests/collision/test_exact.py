@@ -14,7 +14,7 @@ from robot_files import write
 
 import jaxik
 from jaxik.collision import clearances
-from jaxik.collision.bvh import WITHIN
+from jaxik.collision.own_shape import WITHIN
 from jaxik.kinematics import link_frames
 
 
