@@ -103,7 +103,7 @@ class Judge:
         return float(max(np.linalg.norm(log[:3]), np.linalg.norm(log[3:])))
 
     def polished(self, q: np.ndarray, target: np.ndarray) -> np.ndarray | None:
-        """Where Newton's method ends, if it has the pose there."""
+        """Returns where Newton's method ends, if it has the pose there."""
         for _ in range(12):
             log = pin.log6(pin.SE3(self.pose(q)).actInv(pin.SE3(target))).vector
             if np.abs(log).max() < 1e-13:
@@ -170,14 +170,14 @@ def apart(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def configurations(random: np.random.Generator) -> dict[str, np.ndarray]:
-    """Of the targets, by what they are."""
+    """Returns the configurations of the targets, by kind."""
     q, off = random.uniform(-np.pi, np.pi, (2, 6)), 10.0 ** random.uniform(-5.0, -2.0)
     square = np.where(random.random(6) < 0.5, np.round(q[1] / (np.pi / 2)) * np.pi / 2, q[1])
     return {"random": q[0], "next to singular": square + off * random.normal(size=6)}
 
 
 def compared(arms: int, special: float) -> dict[str, Any]:
-    """How many postures each side has of the targets of so many arms."""
+    """Counts the postures that each side has of the targets of so many arms."""
     random, rows, counts, offline = np.random.default_rng(21), {}, {}, []
     tally = {kind: dict.fromkeys(("targets", "postures", "multistart", "lost", "false", "incomplete"), 0) for kind in KINDS}
     worst, weak = 0.0, 0
@@ -221,7 +221,7 @@ def compared(arms: int, special: float) -> dict[str, Any]:
 
 
 def reach(judge: Judge, q: np.ndarray) -> float:
-    """How near a posture is to be: rounding moves it by more where it is nearly singular."""
+    """Returns how near a posture is to be: rounding moves it by more where it is nearly singular."""
     return max(SAME, 1e-12 / max(judge.stiffness(q), 1e-12))
 
 

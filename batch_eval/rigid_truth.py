@@ -1,4 +1,4 @@
-"""What Pinocchio says of a robot's dynamics, in float64, and how far jaxik is from it."""
+"""A robot's dynamics by Pinocchio, in float64, and how far jaxik is from it."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Truth:
         return np.array(matrix)[np.ix_(self.order, self.order)]
 
     def answers(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, tau: np.ndarray, w: np.ndarray) -> dict[str, np.ndarray]:
-        """What `jaxiks` computes, too."""
+        """Computes what `jaxiks` does."""
         model, data, order = self.model, self.data, self.order
         x, rates, more, torque, forces = self.q(q), self.v(v), self.v(a), self.v(tau), self.forces(q, w)
         upper = pin.crba(model, data, x)

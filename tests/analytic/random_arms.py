@@ -46,7 +46,7 @@ def apart(a, b):
 
 
 def exact_branches_of_eaik(robot, poses):
-    """What EAIK calls exact, of each pose a list of postures (6,); its least-squares ones are left out."""
+    """Yields for each pose the postures (6,) that EAIK calls exact, without its least-squares ones."""
     peer, tip_rotation = eaik_robot(robot)
     assert peer.hasKnownDecomposition()
     for pose in poses:

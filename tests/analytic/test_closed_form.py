@@ -158,7 +158,7 @@ def test_six_joints_that_cannot_reach_every_pose_are_not_solved():
 
 
 def test_limits_where_a_posture_stands_for_many():
-    """At doubly singular poses the posture that stands for all others may not have the pose, which is no proof."""
+    """The posture that stands for all others at a doubly singular pose may not have the pose, which is no proof."""
     rng = np.random.default_rng(6)
     h = np.array([[1, 0, 0], [1, 0, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
     p = np.array([[0, 0, 0], [0, -0.25, 0], [0, -0.25, 0.3], [0, -0.25, 0.725], [0, -0.25, 1.025], [0.425, -0.25, 1.025]])

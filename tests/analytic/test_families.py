@@ -32,7 +32,7 @@ def poses_of(robot, q):
 
 
 def solved(robot, poses, given):
-    """All branches, and the largest error of those that are said to have the pose."""
+    """Returns all branches, and the largest error of the valid ones."""
     q, valid, _ = in_blocks(closed_forms(robot), poses, given, double=True)
     back = poses_of(robot, q.reshape(-1, robot.num_joints)).reshape(*q.shape[:2], 4, 4)
     return q, valid, np.where(valid, np.abs(back - poses[:, None]).max(axis=(2, 3)), 0.0)
@@ -124,7 +124,7 @@ def test_what_has_no_family_says_why():
 
 
 def test_what_is_missing_is_said_of_the_joints_as_the_robot_counts_them():
-    """Of a UR10e on a rail whose joint 4 is tilted by 0.01 rad; axes at right angles are so."""
+    """A UR10e on a rail, its joint 4 tilted by 0.01 rad; axes at right angles are so."""
     robot = jaxik.load("ur10e_rail")
     bent = np.array(robot.parent_T_joint)
     cos, sin = np.cos(0.01), np.sin(0.01)

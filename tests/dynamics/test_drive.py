@@ -39,7 +39,7 @@ def test_each_law_by_hand():
 
 
 def test_table_3_9_to_its_last_digit():
-    """By tables 3.4 and 3.5 and the ratios: +-8.4, 12.8, 6.03, 4.77, 1.88 Nm, at rest and without a load."""
+    """Tables 3.4 and 3.5 and the ratios give +-8.4, 12.8, 6.03, 4.77, 1.88 Nm, at rest and without a load."""
     printed = np.array([8.4, 12.8, 12.8, 6.03, 4.77, 1.88, 1.88, 1.88])
     np.testing.assert_allclose(friction_band(CROPS, np.zeros(9))[1:], printed, rtol=1e-14)
     creeping = friction_torque(CROPS, np.full(9, -1e-12), np.zeros(9))
@@ -114,7 +114,7 @@ FAULTS = [
 
 
 def _with_coulomb(value):
-    """As an optimiser puts it in: without the constructor."""
+    """Puts it in as an optimiser does, without the constructor."""
     return equinox.tree_at(lambda robot: robot.drives[0].friction.coulomb, CROPS, value)
 
 

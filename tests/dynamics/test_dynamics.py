@@ -97,7 +97,7 @@ def test_forward_undoes_inverse():
 
 
 def test_energy_of_a_roll_out():
-    """What the drives put in is what the robot has more, by Runge and Kutta's fourth-order steps."""
+    """The drives' work is the robot's gain of energy, by Runge and Kutta's fourth-order steps."""
     push = lambda t: jnp.sin(3.0 * t + jnp.arange(6.0)) * 5.0
 
     def slope(state, t):
@@ -144,7 +144,7 @@ def test_parameters_of_bodies():
 
 
 def test_a_load_is_a_wrench():
-    """At rest what is carried pulls as a force at its centre of gravity does; and a mass away from it is an inertia, too."""
+    """A load at rest pulls as a force at its centre of gravity does; and a mass away from it is an inertia, too."""
     q, tip = states(ARM, 1)[0][0], np.array([0.1, -0.05, 0.2])
     point = (kinematics.forward_kinematics(ARM, q) @ jnp.array([*tip, 1.0]))[:3]
     weight = ARM.world_T_base[:3, :3].T @ [0.0, 0.0, -9.81 * 3.0]

@@ -47,7 +47,7 @@ def _angles(seed, count):
 
 @pytest.mark.parametrize("axes", _arms(), ids=["any links", "special links", "j2s6"])
 def test_every_posture(axes):
-    """That many starts find is found, and what is found has the pose and is there once."""
+    """Whatever many starts find is found; all that is found has the pose and is there once."""
     random, own = np.random.default_rng(0), _angles(5, 40)
     _, judge, poses, (q, valid, complete, _) = _solved(axes, own)
     assert complete.all() and np.abs(q).max() <= np.pi + 1e-12
@@ -76,7 +76,7 @@ def test_eaik():
 
 @pytest.mark.parametrize("name", ["ur5", "kinova", "panda"])
 def test_singular(name):
-    """At right angles wrists are straight and elbows stretched: a posture is found all the same, and all found are true."""
+    """Wrists are straight and elbows stretched at right angles: a posture is found all the same, and all found are true."""
     q = np.round(_angles(4, 60) / (np.pi / 2)) * np.pi / 2
     q[::2] += np.random.default_rng(1).normal(size=(30, 6)) * 10.0 ** np.random.default_rng(2).uniform(-7, -3, (30, 1))
     _, judge, poses, (found, valid, *_) = _solved(_axes(name)[1], q)
@@ -133,7 +133,7 @@ def test_refused(untyped):
 
 
 def test_inverse_kinematics_has_all_answers():
-    """Those of the multistart, on every turn inside limits of 7 rad, and of many the best."""
+    """All answers of the multistart, on every turn inside limits of 7 rad, and the best of many."""
     random = np.random.default_rng(5)
     axes = random_arm(random, 0.0)
     robot = assembled(random, axes.h, axes.p, "of no family")

@@ -12,7 +12,7 @@ GAMMA = Complex(0.6, -0.8)  # the path from x^n = 1 begins in a direction that n
 
 
 def _path(x, coefficients):
-    """From `GAMMA (x^n - 1) = 0` to a monic polynomial's root, highest power first."""
+    """A path from `GAMMA (x^n - 1) = 0` to a monic polynomial's root, highest power first."""
     n = len(coefficients)
 
     def newton(x, s):

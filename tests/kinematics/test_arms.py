@@ -75,7 +75,7 @@ def test_reach_is_the_data_sheets(name):
 
 
 def test_the_panda_is_longest_where_its_maker_says():
-    """Its elbow, offset on both sides, is straight at the angle that Franka prints as q_elbow-flip."""
+    """The elbow, offset on both sides, is straight at the angle that Franka prints as q_elbow-flip."""
     robot = jaxik.load("panda", tip="panda_link6", posture={})
     with jax.enable_x64(True):
         poses = jax.vmap(lambda elbow: jaxik.forward_kinematics(robot, jnp.zeros(6).at[3].set(elbow)))

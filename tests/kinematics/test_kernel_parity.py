@@ -35,7 +35,7 @@ POSITION = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 
 
 def _longer(q, extra):
-    """By what the robot is made of."""
+    """A function of the robot's own numbers."""
     robot = eqx.tree_at(
         lambda c: c.parent_T_joint, PLANAR, jnp.asarray(PLANAR.parent_T_joint, q.dtype).at[1:, :3, 3].add(extra)
     )
@@ -43,7 +43,7 @@ def _longer(q, extra):
 
 
 def _moved(q, shift):
-    """By where the obstacles are."""
+    """A function of the obstacles' places."""
     scene = eqx.tree_at(lambda s: s.points.center, SCENE, jnp.asarray(SCENE.points.center, q.dtype) + shift)
     return collision.link_clearances(PLANAR, scene, q)
 
@@ -79,7 +79,7 @@ MIXED = MIX[:, :1].reshape(2, 2, 3)
 
 
 def _turns(number, *given):
-    """Those that solve a subproblem: of the others there is no slope."""
+    """The turns that solve a subproblem; the others have no slope."""
     dtype = jnp.result_type(*(x for x in given if isinstance(x, jax.Array)))
     found = getattr(subproblems, f"subproblem_{number}")(*(jnp.asarray(x, dtype) for x in given))
     return jnp.where(found.exact[:, None], found.angles, 0.0)
@@ -136,7 +136,7 @@ FUNCTIONS = {
 
 
 def test_the_list_is_whole():
-    """What `jaxik` makes public and decorates with `kernel` is here."""
+    """Every public function that is decorated with `kernel` is here."""
     faces = [face for face in map(jaxik.__dict__.get, jaxik.__all__) if hasattr(face, "__path__")]
     public = {name: getattr(face, name) for face in faces for name in face.__all__}
     code = {name: getattr(function, "__code__", None) for name, function in public.items()}
@@ -220,7 +220,7 @@ def by_xla(monkeypatch):
 @pytest.mark.parametrize("name", [name for name in FUNCTIONS if name != "collides"])
 @pytest.mark.usefixtures("optimised")
 def test_derivatives(name, by_xla):
-    """By every float operand, forward and backward."""
+    """Derivatives by every float operand, forward and backward."""
     function, operands = FUNCTIONS[name][0], _operands(name, 3, np.float64)
     floats = lambda *xs: [y for y in jax.tree_util.tree_leaves(function(*xs)) if jnp.issubdtype(y.dtype, jnp.floating)]
     everywhere = tuple(range(len(operands)))

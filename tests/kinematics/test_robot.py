@@ -87,7 +87,7 @@ def test_what_is_cached_and_shared_cannot_be_written():
 
 
 def test_equal_numbers_are_equal_values():
-    """Of boxes and scenes too, which have no digest; they are shown on one line, arrays by their shape."""
+    """Boxes and scenes, too, which have no digest; they are shown on one line, arrays by their shape."""
     box, other = ROBOT.boxes[0], dataclasses.replace(ROBOT.boxes[0], half=np.array([1.0, 2.0, 3.0]))
     assert box == copy.deepcopy(box) != other and box != ROBOT.boxes[1] and box != box.half.tolist()
     assert jaxik.load_scene("cucumber_row") == jaxik.load_scene("cucumber_row")

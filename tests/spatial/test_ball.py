@@ -62,7 +62,7 @@ BINARY = {
 @given(members(), members())
 @many
 def test_operations_of_two(name, kinds, a, b):
-    """Of two balls, and of a ball and a number on either side, a NumPy scalar too."""
+    """Two balls, and a ball and a number on either side, a NumPy scalar too."""
     ours, exact, scale = BINARY[name]
     (left, x), (right, y) = a, b
     if kinds == "left":
@@ -132,7 +132,7 @@ def test_directions(a, b):
 @given(members(), members(), members(), st.sampled_from([operator.le, operator.ge]))
 @many
 def test_comparisons_and_choices(x, a, b, compare):
-    """What is true of all is true, what is true of none is not; a choice holds what any number in it would choose."""
+    """A comparison true for all numbers is true, for none is false; a choice holds what any number in it would choose."""
     (ball, number), (yes, chosen), (no, other) = x, a, b
     with np.errstate(invalid="ignore"):
         found = compare(ball, np.float64(no.mid))
@@ -181,7 +181,7 @@ def test_programs(start, steps, data):
 
 
 def angles(t):
-    """Of an input: its sine, and the direction of a point on a curve, by its angle, sine and cosine."""
+    """The sine of an input, and the direction of a point on a curve, by its angle, sine and cosine."""
     y, x = 0.3 + t * t, t * 0.7 - 0.4
     return [*sincos(t), *((atan2(y, x), *unit(y, x)) if isinstance(t, Ball) else curve(float(y), float(x)))]
 
