@@ -46,7 +46,7 @@ def placed(base: Any) -> Any:
 def picked(y: Any, z: Any, yaw: Any) -> np.ndarray:
     """Fruits with a posture from every base of a grid (ny, nz, nyaw), by one sweep of the row's fruits and angles."""
     study = {"robot": "p6r", "slides": 21, "audited": 0, "refine": 0, "chunk": 300, "collision": {"margin": MARGIN}}
-    study |= {"targets": {"kind": "crop", "crops": 1, "angles": ANGLES}}
+    study |= {"targets": {"kind": "marks", "scenes": [SCENE], "angles": ANGLES}}
     study |= {"base": {k: np.atleast_1d(v).tolist() for k, v in (("y", y), ("z", z), ("yaw", yaw))}}
     with tempfile.TemporaryDirectory() as folder:
         reachable = jaxik.sweep(study, f"{folder}/s.zarr").dataset().reachable.values

@@ -148,7 +148,7 @@ def _around(robot: jaxik.Robot, rng: np.random.Generator, count: int) -> np.ndar
 
 def crop() -> dict[str, Any]:
     """p6r in the shipped crop, with its spheres."""
-    study = {"robot": "p6r", "chunk": 10_000, "collision": {"scene": "cucumber_row"}, "audited": 2000}
+    study = {"robot": "p6r", "chunk": 10_000, "collision": {"scene": "cucumber_row", "margin": 0.005}, "audited": 2000}
     seconds, known = timed(study | {"targets": BOX | {"directions": DIRECTIONS}})
     rate = known["targets"] / seconds
     return {"seconds": seconds, "per_second": rate, "per_minute": 60.0 * rate, **_known(known)}
@@ -228,15 +228,14 @@ def scene() -> dict[str, Any]:
     rows: dict[str, Any] = {"obstacles": [], "spheres": []}
     for count in (10, 30, 100, 300, 1000):
         points = rng.uniform([0.0, 0.55, 0.0], [1.0, 0.95, 1.2], (count, 3))
-        seconds, known = timed(
-            study | {"robot": "p6r", "collision": {"scene": jaxik.make_scene(points=points, point_radius=0.01)}}
-        )
+        among = {"scene": jaxik.make_scene(points=points, point_radius=0.01), "margin": 0.005}
+        seconds, known = timed(study | {"robot": "p6r", "collision": among})
         rows["obstacles"].append([count, known["targets"] / seconds])
     for each in (1, 8, 64, 512):
         robot = jaxik.load("p6r").with_spheres(each)
         if each > 8:  # pairs of spheres grow with the square
             study["targets"] = small | {"x": [0.0, 1.0, 3], "y": [0.3, 0.8, 3], "z": [0.1, 0.8, 3]}
-        seconds, known = timed(study | {"robot": robot, "collision": {"scene": "cucumber_row"}})
+        seconds, known = timed(study | {"robot": robot, "collision": {"scene": "cucumber_row", "margin": 0.005}})
         rows["spheres"].append([each * len(robot.boxes), known["targets"] / seconds])
     return rows
 
@@ -268,7 +267,7 @@ def processes() -> dict[str, Any]:
 
 def kills() -> dict[str, Any]:
     """A sweep killed (-9) 20 times at random moments, each time begun again, beside one that was left alone."""
-    study = {"robot": "p6r", "slides": 11, "chunk": 50, "collision": {"scene": "cucumber_row"}, "audited": 500}
+    study = {"robot": "p6r", "slides": 11, "chunk": 50, "collision": {"scene": "cucumber_row", "margin": 0.005}, "audited": 500}
     study["targets"] = BOX | {"x": [-0.3, 1.3, 20], "y": [0.1, 0.9, 10], "z": [-0.2, 1.0, 20], "directions": DIRECTIONS}
     code = (
         "import sys, json, jaxik; from jaxik.spmd.batch import compilation_cache; compilation_cache()\n"
@@ -303,7 +302,10 @@ def _bits(folder: Path) -> dict[str, str]:
 
 def same() -> dict[str, Any]:
     """Chunks of 1,000 and of 50,000, and one process and two: the same numbers."""
-    study = FREE | {"collision": {"scene": "cucumber_row"}, "targets": BOX | {"x": [-0.3, 1.3, 11], "directions": DIRECTIONS}}
+    study = FREE | {
+        "collision": {"scene": "cucumber_row", "margin": 0.005},
+        "targets": BOX | {"x": [-0.3, 1.3, 11], "directions": DIRECTIONS},
+    }
     with tempfile.TemporaryDirectory() as folder:
         made = {}
         for name, chunk, shards in (("small", 1000, ("1/1",)), ("large", 50_000, ("1/1",)), ("two", 1000, ("1/2", "2/2"))):

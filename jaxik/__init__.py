@@ -21,6 +21,7 @@ from jaxik.kinematics import Robot, Task, forward_kinematics, jacobian
 from jaxik.reasons import LoadError, Reason
 from jaxik.spatial.rotations import pose
 from jaxik.spmd import kernel
+from jaxik.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from jaxik import estimation, harvesting, identification, motions, planning, reach, sweeps, teleoperation, touch
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
     from jaxik.motions import follow, predict
     from jaxik.planning import plan_motion
     from jaxik.sweeps import sweep
-
-__version__ = "0.1.0"
 
 __all__ = [
     "FitOptions",

@@ -56,10 +56,10 @@ class SweepArguments:
             out = self.out or self.study.with_suffix(".zarr")
             how = {name: getattr(self, name) for name in ("shard", "cluster", "repair")}
             result = jaxik.sweep(study, out, **how, progress=show, stop=lambda: asked.stop)
-        counts = ", ".join(f"{n:,} {reason}" for reason, n in result.counts.items())
+        counts = ", ".join(f"{n:,} {reason}" for reason, n in result.counts().items())
         state = f"{result.done} of {result.total} chunks"
         print(f"{counts or 'nothing yet'}; {state} in {time.perf_counter() - start:.1f} s; wrote {out}")
-        if set(result.counts) & {"collision", "solved"} == {"collision"}:
+        if set(result.counts()) & {"collision", "solved"} == {"collision"}:
             print(offenders(result.colliding(LOOKED)))
         if self.plot:
             from jaxik.view import plot_sweep

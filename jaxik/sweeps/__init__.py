@@ -1,6 +1,6 @@
 """Where can this arm reach, from which base, and why not elsewhere: millions of targets into a store that is never lost."""
 
-from jaxik.sweeps.driver import Sweep, sweep
+from jaxik.sweeps.driver import SweepResult, sweep
 from jaxik.sweeps.study import Study
 
-__all__ = ["Study", "Sweep", "sweep"]
+__all__ = ["Study", "SweepResult", "sweep"]

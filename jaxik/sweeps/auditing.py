@@ -1,8 +1,8 @@
-"""How many reachable targets a sweep missed: some of them, drawn at random, are asked again with more effort.
+"""Estimates how many reachable targets a sweep missed: some of them, drawn at random, are asked again with more effort.
 
 Effort is positions of what the closed form is given (a slide, an arm angle) where that answers, and seeds where the search
-does. What more effort finds and the study did not is a false negative; of the rate that is seen there is an upper bound
-[Clopper and Pearson 1934]. A closed form that is given nothing knows no effort, and misses nothing.
+does. A target that more effort reaches and the study did not is a false negative; the rate that is
+seen has an upper bound [Clopper and Pearson 1934]. A closed form that is given nothing knows no effort, and misses nothing.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ STREAM = 0x617564
 
 
 def audit(store: Store) -> dict[str, Any]:
-    """The attributes `audit`, by method, and `false_negative_rate`, over all. Of a store that is complete."""
+    """The attributes `audit`, by method, and `false_negative_rate`, over all, of a complete store."""
     study = store.study
     total = len(study.variants) * len(study.targets)
     drawn = np.random.default_rng((STREAM, study.seed)).choice(total, min(study.audited, total), replace=False)
@@ -55,7 +55,7 @@ def bound(missed: int, truth: int) -> float:
 
 
 def given(study: Study, robot: Robot) -> tuple[str, ...]:
-    """What there may be more of, by name: of the search its seeds, of the closed form what it is given."""
+    """The names of what there may be more of: a search's seeds, the values that a closed form is given."""
     return ("seed",) if study.method(robot) == "search" else redundancy(robot).names
 
 
@@ -77,7 +77,7 @@ def _efforts(study: Study, method: str) -> list[int]:
 
 
 def _summary(study: Study, method: str, table: np.ndarray) -> dict[str, Any]:
-    """`rates` of false negatives of each effort alone, and of the study as it was run."""
+    """The `rates` of false negatives of each effort alone, and of the study as it was run."""
     truth = table.any(axis=0)
     count = max(int(truth.sum()), 1)
     rates = [float(np.sum(truth & ~row)) / count for row in table]

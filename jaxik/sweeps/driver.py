@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import itertools
 import operator
 import os
@@ -14,7 +15,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from jaxik.collision.scene_builder import make_scene
 from jaxik.ik.problem import Poses
 from jaxik.ik.solve import IKResult, solved
 from jaxik.reasons import Reason
+from jaxik.results import Reasoned
 from jaxik.sweeps.auditing import audit
 from jaxik.sweeps.evaluation import Columns, answer
 from jaxik.sweeps.store import Store, StoreError
@@ -33,36 +35,55 @@ from jaxik.sweeps.study import Study
 AHEAD = 2  # chunks at a time in this process: what one does on the host alone, the other spends in compiled blocks
 
 
-class Sweep(NamedTuple):
-    """What a call of `sweep` ended with: the store, its study, and how many pieces of its work are done, of how many."""
+@dataclasses.dataclass(frozen=True, repr=False)
+class SweepResult(Reasoned):
+    """What a call of `sweep` ended with: the store at `path`, its study, and how many chunks of it are `done`, of how many. It
+    is true once all are."""
 
     path: Path
     study: Study
     done: int
     total: int
-    counts: dict[str, int]
+    _counts: dict[str, int]
 
     @property
     def complete(self) -> bool:
+        """Whether all chunks are done."""
         return self.done == self.total
+
+    def __bool__(self) -> bool:
+        return self.complete
+
+    def __repr__(self) -> str:
+        told = ", ".join(f"{count:,} {words}" for words, count in self._counts.items()) or "nothing yet"
+        return f"Sweep {self.path}: {told}; {self.done} of {self.total} chunks"
+
+    def counts(self) -> dict[str, int]:
+        """How many targets of the finished chunks ended for each reason, by its words."""
+        return dict(self._counts)
+
+    @property
+    def reason(self) -> np.ndarray:
+        """The reasons (..., N), over the axes of the study and its targets; -1 where a chunk is not done. Host."""
+        return np.asarray(Store.of(self.path, self.study).group["reason"][...])
 
     def dataset(self) -> Any:
         """The results as an `xarray.Dataset`, read as they are needed."""
         return optional("a sweep's dataset", "xarray", "sweep").open_zarr(self.path)
 
     def colliding(self, most: int) -> IKResult:
-        """What `solve_ik` says of `most` targets that collide, of the first piece of work that has any; its `offenders` name
-        what is in the way, which a store does not keep."""
+        """The answers of `solve_ik` to `most` targets that collide, of the first chunk that has any. Their `offenders` name
+        what is in the way, which a store does not keep. Host driver."""
         store, study = Store.of(self.path, self.study), self.study
         for number in np.flatnonzero(store.finished()):
             variant, _, rows = study.work(int(number))
             colliding = rows.start + np.flatnonzero(store.column(int(number), "reason") == Reason.COLLISION)[:most]
             if len(colliding):
                 break
-        crops, scene = study.targets.crop, study.scene or make_scene()
-        if crops is not None:
-            scene = study.targets.scenes[crops[colliding[0]]]
-            colliding = colliding[crops[colliding] == crops[colliding[0]]]
+        among, scene = study.targets.among, study.scene or make_scene()
+        if among is not None:
+            scene = study.targets.scenes[among[colliding[0]]]
+            colliding = colliding[among[colliding] == among[colliding[0]]]
         base_T_frame = np.linalg.inv(variant.robot.world_T_base) if study.targets.frame == "world" else None
         targets = Poses.of(study.targets.poses_at(colliding, base_T_frame), study.ik.task)
         return solved(variant.robot, targets, scene, study.seed, study.ik)
@@ -70,15 +91,15 @@ class Sweep(NamedTuple):
 
 def sweep(
     study: Study | str | Path | Mapping[str, Any],
-    out: str | Path | None = None,
+    path: str | Path,
     *,
     shard: Any = (1, 1),
     cluster: str | None = None,
     repair: bool = False,
     progress: Callable[[int, int], Any] | None = None,
-    stop: Callable[[], bool] = lambda: False,
-) -> Sweep:
-    """Answers all targets of a study that the store `out` does not hold yet; killed at any moment, a rerun goes on. Host
+    stop: Callable[[], bool] | None = None,
+) -> SweepResult:
+    """Answers all targets of a study that the store at `path` does not hold yet; killed at any moment, a rerun goes on. Host
     driver.
 
     `study` is a TOML file, the same as nested dictionaries, or a `Study`. `shard` (i, n) or "i/n" does every n-th chunk, so
@@ -89,8 +110,7 @@ def sweep(
     Raises `ValueError` for a study that cannot be read, a store of another study or a damaged chunk, and without the extra
     `sweep`; `OSError` where the store cannot be written. Nothing that is finished is lost by either.
     """
-    read = Study.of(study)
-    path = Path(out if out is not None else Path(study).with_suffix(".zarr") if isinstance(study, str | Path) else "sweep.zarr")
+    read, path, stop = Study.of(study), Path(path), stop or (lambda: False)
     first, every = _shard(shard)
     store = Store.of(path, read)
     mine = range(first - 1, len(read.variants) * read.chunks, every)
@@ -120,7 +140,8 @@ def _shard(shard: Any) -> tuple[int, int]:
 
 
 def _kept(store: Store, number: int, repair: bool, *names: str) -> Columns | None:
-    """A finished chunk, or these columns of it. Of a damaged one it raises, or, if that is to be made again, gives None."""
+    """A finished chunk, or these columns of it. Raises `StoreError` for a damaged one, or, if that is to be made again, gives
+    None."""
     try:
         return {name: store.column(number, name) for name in names} if names else store.read(number)
     except StoreError:
@@ -169,7 +190,7 @@ def _write(store: Store, number: int, columns: Columns) -> int:
     return number
 
 
-def _ended(store: Store, repair: bool) -> Sweep:
+def _ended(store: Store, repair: bool) -> SweepResult:
     """Counts, and, once all is done, what only the whole tells. With `repair` a chunk that cannot be counted, which is another
     shard's, is left for that to do."""
     finished = store.finished()
@@ -186,4 +207,4 @@ def _ended(store: Store, repair: bool) -> Sweep:
         counted = {"counts": counts, "undecided": undecided}
         asked_again = audit(store) if store.study.audited and not store.knows(counted) else {}
         store.finish({"complete": True} | counted | asked_again)
-    return Sweep(store.path, store.study, int(finished.sum()), len(finished), counts)
+    return SweepResult(store.path, store.study, int(finished.sum()), len(finished), counts)

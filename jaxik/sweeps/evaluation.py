@@ -1,4 +1,4 @@
-"""What a study asks of one chunk of targets: a row of numbers for each, the same whichever targets come with it.
+"""Answers one chunk of a study's targets: a row of numbers for each, the same whichever targets come with it.
 
 With a closed form, all positions of the leading joints and all branches are looked at; else the search of `solve_ik` answers.
 All that runs here is in the robot's base frame: targets and obstacles come to it, so another place compiles nothing.
@@ -85,7 +85,7 @@ def answer(study: Study, variant: Variant, rows: slice) -> Columns:
     if study.targets.poses is not None:  # someone else's, who may have got them wrong
         poses, fault, _ = Poses.of(poses, study.ik.task)
         valid = fault == 0
-    around = _Crops.of(study, robot, rows, base_T_world) if study.collision else None
+    around = _Around.of(study, robot, rows, base_T_world) if study.collision else None
     solve = _closed_form if study.method(robot) == "closed form" else _search
     found = given_columns(study.targets, rows) | solve(study, _at_home(robot), poses, valid, around)
     found["q"] = np.pad(found["q"], ((0, 0), (0, study.joints - robot.num_joints)), constant_values=np.nan)
@@ -99,31 +99,31 @@ def given_columns(targets: Targets, rows: slice) -> Columns:
     return dict(zip(GIVEN, (targets.positions_at(numbers), turned), strict=True))
 
 
-class _Crops(NamedTuple):
-    """What postures keep clear of, in the robot's base: scenes, and which is each target's (N,)."""
+class _Around(NamedTuple):
+    """Scenes that postures keep clear of, in the robot's base, and which is each target's (N,)."""
 
     scenes: dict[int, Grouped]
-    crop: np.ndarray
+    among: np.ndarray
 
     @staticmethod
-    def of(study: Study, robot: Robot, rows: slice, base_T_world: np.ndarray) -> _Crops:
-        crops = study.targets.crop
-        crop = np.zeros(rows.stop - rows.start, int) if crops is None else crops[rows]
-        scene = lambda c: (study.scene or EMPTY) if crops is None else study.targets.scenes[c]
-        return _Crops({int(c): _seen_from(base_T_world, scene(c), robot) for c in np.unique(crop)}, crop)
+    def of(study: Study, robot: Robot, rows: slice, base_T_world: np.ndarray) -> _Around:
+        own, known = study.targets.among, study.targets.scenes
+        among = np.zeros(rows.stop - rows.start, int) if own is None else own[rows]
+        scene = lambda i: (study.scene or EMPTY) if own is None else known[i]
+        return _Around({int(i): _seen_from(base_T_world, scene(i), robot) for i in np.unique(among)}, among)
 
-    def part(self, rows: Any) -> _Crops:
-        """Of some of the targets."""
-        return _Crops(self.scenes, self.crop[rows])
+    def part(self, rows: Any) -> _Around:
+        """The scenes of some of the targets."""
+        return _Around(self.scenes, self.among[rows])
 
     def groups(self, owner: np.ndarray) -> Iterator[tuple[Grouped, Any]]:
         """Each scene with those of the rows that have its target for `owner`."""
         if len(self.scenes) == 1:
             yield next(iter(self.scenes.values())), slice(None)
             return
-        crop = self.crop[owner]
-        for c in np.unique(crop):
-            yield self.scenes[int(c)], np.flatnonzero(crop == c)
+        among = self.among[owner]
+        for i in np.unique(among):
+            yield self.scenes[int(i)], np.flatnonzero(among == i)
 
     def measured(self, kernel: HostKernel, owner: np.ndarray, *columns: np.ndarray, rows: Any = None) -> tuple[np.ndarray, ...]:
         """Clearance [m] and freedom, by a kernel of rows and a scene, of postures of the targets `owner` (P,), in float32."""
@@ -136,7 +136,7 @@ class _Crops(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def _branch_measures(robot: Robot) -> HostKernel:
-    """`measures` of a branch, by rows of poses, leading joints and its number."""
+    """The kernel of `measures` of a branch, by rows of poses, leading joints and its number."""
 
     def measured(pose: Any, leading: Any, number: Any, scene: Any) -> tuple[Any, Any]:
         q, _ = one_branch(robot, pose, leading, number)
@@ -184,7 +184,7 @@ class _Best(NamedTuple):
         return _Best(*numbers, np.full(count, Reason.OUT_OF_REACH, np.int8))
 
 
-def _closed_form(study: Study, robot: Robot, poses: np.ndarray, valid: np.ndarray, around: _Crops | None) -> Columns:
+def _closed_form(study: Study, robot: Robot, poses: np.ndarray, valid: np.ndarray, around: _Around | None) -> Columns:
     """The postures of poses (N, 4, 4) on the grid of leading positions and, where it has none, between them."""
     proven = ~valid | beyond(robot, poses)
     columns = _no_answer(robot, len(poses)) | {"proven": proven}
@@ -209,8 +209,8 @@ def _closed_form(study: Study, robot: Robot, poses: np.ndarray, valid: np.ndarra
 
 
 def _better(columns: Columns, robot: Robot, poses: np.ndarray, asked: np.ndarray, found: _Best) -> None:
-    """What was found between the grid's positions for targets that have nothing on it: a posture, or at least one that only
-    collides."""
+    """Enters what was found between the grid's positions for targets that have nothing on it: a posture, or at least one that
+    only collides."""
     better = np.flatnonzero(np.isin(found.reason, (Reason.SOLVED, Reason.COLLISION)))
     asked, found = asked[better], _Best(*(column[better] for column in found))
     _answered(columns, robot, poses, asked, found)
@@ -218,8 +218,8 @@ def _better(columns: Columns, robot: Robot, poses: np.ndarray, asked: np.ndarray
 
 
 def _answered(columns: Columns, robot: Robot, poses: np.ndarray, asked: np.ndarray, best: _Best) -> None:
-    """Solves the best postures of the targets `asked` again in float64. One that is there past a limit, by what float32 rounds,
-    is none."""
+    """Solves the best postures of the targets `asked` again in float64. A posture that float32 has rounded into the limits does
+    not count."""
     columns["reason"][asked], columns["solutions"][asked] = best.reason, best.solutions
     some = np.flatnonzero(best.reason == Reason.SOLVED)
     rows = asked[some]
@@ -233,7 +233,7 @@ def _answered(columns: Columns, robot: Robot, poses: np.ndarray, asked: np.ndarr
         columns[name][rows[good]] = values[good]
 
 
-def _between(study: Study, robot: Robot, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, np.ndarray]:
+def _between(study: Study, robot: Robot, poses: np.ndarray, around: _Around | None) -> tuple[_Best, np.ndarray]:
     """Searches between the grid's positions for poses that have nothing on it; returns the best, and which stay open."""
     found = prove_reach(robot, poses, slides=study.slides, refine=study.refine)
     best, open_ = _Best.nothing(len(poses), found.slide.shape[1]), found.reason == Reason.NOT_CONVERGED
@@ -257,14 +257,15 @@ def _no_answer(robot: Robot, count: int) -> Columns:
 
 @functools.lru_cache(maxsize=64)
 def _worth(robot: Robot) -> HostKernel:
-    """`WORTH` of joint positions, by rows of these and the poses that they are for."""
+    """The kernel of `WORTH`, by rows of joint positions and the poses that they are for."""
     errors = lambda q, pose: pose_errors(robot, list(q), traced(pose))
     return HostKernel(lambda q, pose: (q, *errors(q, pose), manipulability(robot, q), joint_limit_margin(robot, q)), 2)
 
 
 @functools.lru_cache(maxsize=64)
 def _posture(robot: Robot) -> HostKernel:
-    """By rows of poses, leading joints and a branch's number: whether it has the pose inside the limits, and its `WORTH`."""
+    """The kernel, by rows of poses, leading joints and a branch's number, of whether the branch has the pose inside the limits,
+    and of its `WORTH`."""
 
     def posture(pose: Any, leading: Any, number: Any) -> Any:
         q, inside = one_branch(robot, pose, leading, number)
@@ -273,7 +274,7 @@ def _posture(robot: Robot) -> HostKernel:
     return HostKernel(posture, 3)
 
 
-def _on_grid(study: Study, robot: Robot, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, _Near]:
+def _on_grid(study: Study, robot: Robot, poses: np.ndarray, around: _Around | None) -> tuple[_Best, _Near]:
     """The best over the grid of leading positions; and of targets whose postures all collide, the nearest to be clear."""
     leading = leading_grid(robot, study.slides)
     found = freest(robot, poses, leading)
@@ -302,7 +303,7 @@ class _Near(NamedTuple):
     leading: np.ndarray
 
 
-def _beside(study: Study, robot: Robot, poses: np.ndarray, near: _Near, around: _Crops) -> _Best:
+def _beside(study: Study, robot: Robot, poses: np.ndarray, near: _Near, around: _Around) -> _Best:
     """The best at leading positions beside those where a target's postures only just collide."""
     found = _Best.nothing(len(poses), near.leading.shape[1])
     k = near.leading.shape[1]
@@ -319,10 +320,11 @@ def _beside(study: Study, robot: Robot, poses: np.ndarray, near: _Near, around: 
 
 
 def _avoid(
-    study: Study, robot: Robot, poses: np.ndarray, asked: _Near, inside: np.ndarray | None, around: _Crops, best: _Best
+    study: Study, robot: Robot, poses: np.ndarray, asked: _Near, inside: np.ndarray | None, around: _Around, best: _Best
 ) -> _Near:
-    """Of the postures that are `asked` for, of which those `inside` (P * 8,) count (all inside the limits if it is None), the
-    best that is clear goes into `best`; of targets without any, the nearest to be."""
+    """Enters the best clear posture of each target into `best`, and returns, of targets without any, the nearest to be clear.
+
+    Looked at are the postures that are `asked` for and `inside` (P * 8,); all inside the limits if that is None."""
     target, leading = asked
     arm, poses, leads = arm_of(robot), poses.astype(np.float32), leading.astype(np.float32)
     if inside is None:
@@ -337,7 +339,7 @@ def _avoid(
     touched = owner[np.diff(owner, prepend=-1) != 0]
     best.solutions[touched] = np.bincount(owner[clear], minlength=len(poses))[touched]
     best.reason[touched] = np.where(best.solutions[touched] > 0, Reason.SOLVED, Reason.COLLISION)
-    first = clear[first_most(owner[clear], study.wanted.score(distance[clear], freedom[clear]))]
+    first = clear[first_most(owner[clear], study.score(distance[clear], freedom[clear]))]
     best.leading[owner[first]], best.branch[owner[first]] = leading[pair[first]], branch[first]
     best.clearance[owner[first]] = distance[first]
     hits = np.flatnonzero(best.reason[owner] == Reason.COLLISION)
@@ -346,7 +348,7 @@ def _avoid(
 
 
 def _most(owner: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
-    """Of rows in the order of their owners: those with the `count` largest values of each, the largest first."""
+    """The rows, which are in the order of their owners, with the `count` largest values of each owner, the largest first."""
     left, found = np.arange(len(owner)), []
     for _ in range(count):
         best = first_most(owner[left], value[left])
@@ -360,7 +362,7 @@ def _most(owner: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
 # By search
 
 
-def _search(study: Study, robot: Robot, poses: np.ndarray, valid: np.ndarray, around: _Crops | None) -> Columns:
+def _search(study: Study, robot: Robot, poses: np.ndarray, valid: np.ndarray, around: _Around | None) -> Columns:
     """The answers of `solve_ik`."""
     asked = np.where(valid[:, None, None], poses, np.nan)
     columns = _no_answer(robot, len(poses))

@@ -17,14 +17,14 @@ LENGTHS = ("length", "x", "y", "z")
 
 @dataclasses.dataclass(frozen=True)
 class Variant:
-    """One robot in one place and shape: what a chunk of targets is asked of, and its place along the study's `axes`."""
+    """One robot at one base pose and shape, with its index along the study's axes."""
 
     robot: Robot
     index: tuple[int, ...]
 
 
 def variant_name(index: tuple[int, ...]) -> str:
-    """How the store's attributes call a variant."""
+    """The name of a variant in the store's attributes."""
     return "/".join(map(str, index)) or "only"
 
 
@@ -49,7 +49,7 @@ def read_shapes(table: Table) -> list[tuple[str, np.ndarray]]:
 def all_variants(
     table: Table, robots: list[tuple[str, Robot]], bases: list[tuple[str, np.ndarray]], shapes: list[tuple[str, np.ndarray]]
 ) -> tuple[tuple[tuple[str, tuple[Any, ...]], ...], tuple[Variant, ...]]:
-    """What varies, and each combination of it, in C order of the axes; what has one value only is no axis."""
+    """The axes of what varies, and each combination, in C order of the axes; a quantity of one value is no axis."""
     changes = [(key, [(value, value) for value in values.tolist()]) for key, values in shapes]
     every: list[tuple[str, list[tuple[Any, Any]]]] = [("robot", robots), ("base", bases), *changes]
     variants = []

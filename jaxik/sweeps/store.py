@@ -1,9 +1,9 @@
 """Results on disk: a Zarr store that `xarray.open_zarr` reads, which a chunk enters whole or not at all.
 
-A chunk's arrays are written one by one, each file aside and then renamed (Zarr does that), and last its check sum in `crc`. So
-what has a check sum is finished, whenever the process was killed; what has none is computed again and written over. A column
-that is nothing in all of a chunk has no file there; the check sum tells that from one that is lost. Nothing in the store says
-when or in how many sittings it was made: it ends with the same bits.
+A chunk's arrays are written one by one, each file aside and then renamed (Zarr does that), and last its check sum in `crc`. A
+chunk that has a check sum is finished, whenever the process was killed; one that has none is computed again and written over. A
+column that is nothing in all of a chunk has no file there; the check sum tells that from one that is lost. Nothing in the store
+says when or in how many sittings it was made: it ends with the same bits.
 """
 
 from __future__ import annotations
@@ -123,8 +123,8 @@ class Store:
         return all(self.group.attrs.get(k) == v for k, v in attributes.items())
 
     def finish(self, attributes: dict[str, Any]) -> None:
-        """What is known once all is done; and what a killed process left half-written in the arrays goes. Beside them another
-        shard, which ends at the same time, may be writing what is known."""
+        """Notes what is known once all is done, and removes what a killed process left half-written in the arrays. Beside them
+        another shard, which ends at the same time, may be writing its notes."""
         for left in self.path.glob("*/**/*.partial"):
             left.unlink(missing_ok=True)
         if not self.knows(attributes):
@@ -249,7 +249,7 @@ def _attributes(study: Study) -> dict[str, Any]:
 
 
 def _changes(old: Any, new: Any, where: str = "") -> Iterator[str]:
-    """What differs, in words."""
+    """The differences, in words."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key in sorted(set(old) | set(new)):
             yield from _changes(old.get(key), new.get(key), f"{where}.{key}" if where else key)

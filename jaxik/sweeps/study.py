@@ -1,68 +1,74 @@
 """A study: which robots, from which bases and of which shapes, are asked for which targets, among what.
 
 Written as TOML (`docs/how-to/reach-map.md` lists the keys), or as the same nested dictionaries in Python, where a robot may be
-a `Robot`, a scene a `Scene`, and the targets an array of poses.
+a `Robot`, a scene a `Scene`, and the targets an array of poses. It is read and checked key by key.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
-from collections.abc import Mapping
+import itertools
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
 
-import jaxik
 from jaxik.analytic.families import scan_obstacle
+from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
-from jaxik.files.robot_toml import Table, read_toml
+from jaxik.files import load, load_scene
+from jaxik.files.robot_toml import UNITS, Table, read_toml
+from jaxik.files.targets import read_targets
+from jaxik.fitting.capsules import FitOptions
 from jaxik.ik.options import IKOptions
+from jaxik.kinematics.reach_bound import millimetres
 from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import Task
+from jaxik.options import anything, count, fields, flag, instance
+from jaxik.reach.grasp import Grasp
 from jaxik.reach.ranking import PostureOptions
-from jaxik.sweeps.robot_variants import Variant, variant_name
+from jaxik.spatial.rotations import frame, from_rpy
+from jaxik.sweeps import targets as sources
+from jaxik.sweeps.robot_variants import Variant, all_variants, read_shapes, variant_name
 from jaxik.sweeps.targets import Targets
+from jaxik.version import __version__
 
-CHUNK = 10_000
-POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-6, 1e-6  # [m], [rad]
-OWN = ("name", "collision", "margin", "slides", "refine", "seed", "chunk", "audited")  # of a study, as they are
+Made = TypeVar("Made")
+KEYS = (
+    *("name", "robot", "robots", "base", "parameters", "collision", "tool", "targets", "ik"),
+    *("seed", "slides", "refine", "chunk", "audited", "origin", "ignore"),
+)
+OWN = ("name", "collision", *fields(PostureOptions), "slides", "refine", "seed", "chunk", "audited")  # described as they are
 IK_KEYS = ("max_seeds", "choice", "seeds", "solutions")
+TOLERANCES = {"position_tolerance": "length", "rotation_tolerance": "angle"}
 
 
-@dataclasses.dataclass(frozen=True)
-class Study:
-    """Everything that decides a sweep's result, read and checked. `axes` are what varies besides the targets: name and labels.
+class Study(PostureOptions, who="study"):
+    """Everything that decides a sweep's result. `Study.of` reads it."""
 
-    `slides` are positions of each leading joint where the closed form answers, `refine` how often the gaps between them are
-    halved where they have nothing; `ik` the options where the search answers; `audited` so many targets are asked again, more
-    densely, for what was missed.
-    """
-
-    name: str
-    variants: tuple[Variant, ...]
-    axes: tuple[tuple[str, tuple[Any, ...]], ...]
-    targets: Targets
-    scene: Scene | None
-    collision: bool
-    margin: float
-    wanted: PostureOptions
-    slides: int
-    refine: int
-    seed: int
-    chunk: int
-    ik: IKOptions
-    audited: int
+    name: str = anything(default="sweep", words="what the store is called by")
+    variants: tuple[Variant, ...] = anything(words="each robot in one place and shape")
+    axes: tuple[tuple[str, tuple[Any, ...]], ...] = anything(
+        default=(), words="what varies besides the targets, the name and labels of each"
+    )
+    targets: Targets = instance(kind=Targets, words="what each variant is asked for")
+    scene: Scene | None = instance(default=None, kind=Scene, optional=True, words="the obstacles, the same for all targets")
+    collision: bool = flag(default=False, words="whether postures are to be clear of the scene and of the robot itself")
+    slides: int = count(default=41, words="positions of each leading joint where the closed form answers")
+    refine: int = count(default=5, least=0, words="halvings of the gaps between them where they have nothing")
+    chunk: int = count(default=10_000, words="targets a chunk")
+    audited: int = count(default=2000, least=0, words="targets that are asked again, more densely, for what was missed")
+    seed: int = count(default=0, least=0, words="of searches and of the audit")
+    ik: IKOptions = instance(default=IKOptions(), kind=IKOptions, words="how targets are searched for without a closed form")
 
     @staticmethod
     def of(source: Study | str | Path | Mapping[str, Any], **changes: Any) -> Study:
-        """From a TOML file or nested dictionaries; `changes` replace keys of the top level.
+        """Reads a TOML file or nested dictionaries; `changes` replace keys of the top level. Host.
 
         Raises `LoadError` (a `ValueError`) with one line: the file, the table, what is allowed, the mend.
         """
-        from jaxik.sweeps.study_file import read_study  # late: it makes studies
-
         if isinstance(source, Study):
             if changes:
                 raise ValueError(f"a study that is read does not change ({', '.join(changes)}); change what it was read from")
@@ -70,21 +76,21 @@ class Study:
         path = Path("study") if isinstance(source, Mapping) else Path(source)
         content = dict(source) if isinstance(source, Mapping) else read_toml(path).content
         folder = Path() if isinstance(source, Mapping) else path.parent
-        return read_study(Table(path, "study", content | {k: v for k, v in changes.items() if v is not None}), folder)
+        return _read(Table(path, "study", content | {k: v for k, v in changes.items() if v is not None}), folder)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of the axes besides the targets."""
+        """The counts of the axes besides the targets."""
         return tuple(len(labels) for _, labels in self.axes)
 
     @property
     def chunks(self) -> int:
-        """Of one variant."""
+        """The number of chunks of one variant."""
         return -(-len(self.targets) // self.chunk)
 
     @property
     def joints(self) -> int:
-        """Of the robot that has most."""
+        """The number of joints of the robot that has most."""
         return max(v.robot.num_joints for v in self.variants)
 
     def work(self, number: int) -> tuple[Variant, int, slice]:
@@ -100,11 +106,10 @@ class Study:
             "models": {variant_name(v.index): f"{v.robot.name} {v.robot.digest[:16]}" for v in self.variants},
             "targets": self.targets.describe(),
             "scene": None if self.scene is None else f"{self.scene.name} {_digest(self.scene)}",
-            "crops": [_digest(s) for s in self.targets.scenes] if self.collision else [],
-            "wanted": dataclasses.asdict(self.wanted),
+            "scenes": [_digest(s) for s in self.targets.scenes] if self.collision else [],
             **{name: getattr(self, name) for name in OWN},
-            "ik": {k: getattr(self.ik, k) for k in (*IK_KEYS, "position_tolerance", "rotation_tolerance")},
-            "versions": {module.__name__: module.__version__ for module in (jaxik, jax, np)},
+            "ik": {name: getattr(self.ik, name) for name in (*IK_KEYS, *TOLERANCES)},
+            "versions": {"jaxik": __version__, "jax": jax.__version__, "numpy": np.__version__},
         }
 
     def method(self, robot: Robot) -> str:
@@ -121,3 +126,217 @@ def _digest(scene: Scene) -> str:
 
 # --------------------------------------------------------------------------------------------------------------------
 # Reading
+
+
+def _read(table: Table, folder: Path) -> Study:
+    """The study that a table describes; files that it names lie in `folder`."""
+    given = table.content
+    table.only(KEYS)
+    table.asked.update(("robot", "robots"))
+    robots = _robots(table, folder)
+    bases, shapes = _bases(table), read_shapes(table)
+    axes, variants = all_variants(table, robots, bases, shapes)
+    scene, wanted = _collision(table, folder)
+    collision = "collision" in given
+    grasp = _grasp(table)
+    targets = _targets(table, folder, [v.robot for v in variants], scene, grasp)
+    if targets.scenes:  # which are around the targets instead
+        scene = None
+    if "tool" in given and not targets.scenes and not len(targets.rotations):
+        raise table.fail("[tool] turns the tool into a direction, and no target has a direction", "leave it out")
+    ik = _ik(table, targets, wanted["margin"] if collision else None)
+    least = {"slides": 1, "chunk": 1, "refine": 0, "audited": 0, "seed": 0}
+    counts = {key: table.count(key, getattr(Study, key), least=few) for key, few in least.items()}
+    name = table.text("name", "sweep")
+    table.close()
+    for variant in variants if collision else ():
+        mend = "write {file = ..., meshes = true}" if variant.robot.unread_meshes else "or leave [collision] out"
+        _made(table.table("collision"), mend, check_geometry, variant.robot)
+    own: dict[str, Any] = {"variants": variants, "axes": axes, "targets": targets, "scene": scene, "collision": collision}
+    return Study(name=name, ik=ik, **own | wanted | counts)
+
+
+def _made(row: Table, mend: str, make: Callable[..., Made], *given: Any, **named: Any) -> Made:
+    """What is made of a table's values. Where they are refused, so is the table."""
+    try:
+        return make(*given, **named)
+    except ValueError as error:
+        raise row.fail(str(error), mend) from None
+
+
+def _file(folder: Path, source: str) -> str | Path:
+    """A file beside the study, or one of the shipped names."""
+    return folder / source if Path(source).suffix else source
+
+
+def _robots(table: Table, folder: Path) -> list[tuple[str, Robot]]:
+    given = table.content.get("robots", table.content.get("robot"))
+    if given is None or ("robots" in table.content and "robot" in table.content):
+        raise table.fail("no robot" if given is None else "'robot' and 'robots' say the same", 'write robot = "p6r"')
+    found, ignore = [], table.listed("ignore")
+    for i, each in enumerate(given if isinstance(given, list | tuple) else [given]):
+        if isinstance(each, Robot):
+            if ignore:
+                raise table.fail(f"ignore, and robot {i + 1} is a Robot", "load it with ignore=")
+            found.append((each.name, each))
+        elif isinstance(each, str | dict):
+            row = Table(table.path, f"robots {i + 1}", {"file": each} if isinstance(each, str) else each)
+            found.append(_robot(row, folder, ignore))
+        else:
+            raise table.fail(f"robot {i + 1} is {type(each).__name__}", "write a shipped model's name, a file, or a table")
+    if not found or len({label for label, _ in found}) < len(found):
+        raise table.fail("two robots of one name" if found else "no robot", "give each its own: {file = ..., name = ...}")
+    return found
+
+
+def _robot(row: Table, folder: Path, ignore: list[Any]) -> tuple[str, Robot]:
+    """A robot's name in the study, and its robot: the keys are the arguments of `jaxik.load`."""
+    given = row.content
+    row.asked.update(("tip", "base", "srdf", "posture", "tool"))
+    file, meshes = row.text("file"), row.flag("meshes")
+    options: dict[str, Any] = {k: row.text(k) for k in ("tip", "base") if k in given}
+    if "srdf" in given:
+        options["srdf"] = _file(folder, row.text("srdf"))
+    fit = row.table("fit")
+    if fit.content:
+        accuracy = fit.number("accuracy", "length", FitOptions.accuracy)
+        options["fit"] = FitOptions(accuracy=accuracy, most=fit.count("most", FitOptions.most))
+    if "posture" in given:  # where joints beside the chain are held [rad, m]
+        held = row.table("posture")
+        options["posture"] = {joint: held.number(joint, "plain") for joint in held.content}
+    if "tool" in given:
+        options["tool"] = row.array("tool", "plain", (4, 4))
+    label, ignored = row.text("name", Path(file).stem), [*ignore, *row.listed("ignore")]
+    row.close()
+    return label, load(_file(folder, file), meshes=meshes, ignore=ignored, **options)
+
+
+def _bases(table: Table) -> list[tuple[str, np.ndarray]]:
+    """Placements in the world: every combination of the shifts along x, y, z [m] and turns about the world's z."""
+    row = table.table("base")
+    values = [row.finite(k, (-1,), unit="length", default=[0.0]) for k in "xyz"]
+    yaw = row.finite("yaw", (-1,), unit="angle", default=[0.0])
+    return [
+        (f"x={x:g} y={y:g} z={z:g} yaw_deg={np.degrees(turn):g}", frame((x, y, z), from_rpy((0.0, 0.0, turn))) + 0.0)  # no -0
+        for x, y, z, turn in itertools.product(*values, yaw)
+    ]
+
+
+def _collision(table: Table, folder: Path) -> tuple[Scene | None, dict[str, float]]:
+    """The scene, and the fields of `PostureOptions`."""
+    row = table.table("collision")
+    row.asked.add("scene")
+    scene = row.content.get("scene")
+    if scene is not None and not isinstance(scene, Scene):
+        scene = load_scene(_file(folder, row.text("scene")))
+    units = {name: "length" if field.unit == "m" else "plain" for name, field in fields(PostureOptions).items()}
+    number = lambda name: float(row.finite(name, (), unit=units[name], default=getattr(PostureOptions, name)))
+    wanted = {name: number(name) for name in units}
+    _made(row, "change it", PostureOptions, **wanted)
+    return scene, wanted
+
+
+def _grasp(table: Table) -> Grasp:
+    row = table.table("tool")
+    axes = {name: tuple(row.array(name, "plain", (3,), usual).tolist()) for name, usual in vars(Grasp()).items()}
+    return _made(row, "change them", Grasp, **axes)
+
+
+def _ik(table: Table, targets: Targets, margin: float | None) -> IKOptions:
+    """The options of a search that keeps a margin, or looks at nothing that may be hit."""
+    row, default = table.table("ik"), IKOptions()
+    chosen: dict[str, Any] = {k: row.count(k, getattr(default, k)) for k in ("max_seeds", "solutions")}
+    chosen |= {k: row.text(k, getattr(default, k)) for k in ("choice", "seeds")}
+    for key, unit in TOLERANCES.items():
+        chosen[key] = float(row.finite(key, (), unit=unit, default=getattr(default, key)))
+        if not chosen[key] > 0.0:
+            raise row.fail(f"{key} = {chosen[key]:g}", "write a number > 0")
+    chosen |= {"collision": False} if margin is None else {"margin": margin}
+    task = Task.position() if targets.free_rotation else default.task
+    return _made(row, "change it", IKOptions, task=task, **chosen)
+
+
+def _targets(table: Table, folder: Path, robots: list[Robot], scene: Scene | None, grasp: Grasp) -> Targets:
+    row = table.table("targets")
+    kind = row.text("kind", "file" if "poses" in row.content else "grid", sources.KINDS)
+    frame = row.text("frame", "world", ("world", "base"))
+    if kind == "file":
+        targets = _given_targets(row, folder, frame, grasp)
+    elif kind == "marks":
+        if frame != "world":
+            raise row.fail(f"frame = '{frame}': a scene's marks stand in the world", "leave it out")
+        targets = sources.around_marks(_scenes(row, folder, scene), row.count("angles", 24), grasp)
+    else:
+        turned = _rotations(row, grasp)
+        if kind == "grid":
+            axes = tuple(_axis(row, k) for k in "xyz")
+        else:
+            size = row.number("size", "length")
+            if not size > 0.0:
+                raise row.fail(f"size = {size:g}", "write the edge of a voxel [m], > 0")
+            axes = sources.voxels(robots, size)
+        targets = Targets(kind, frame, turned, axes)
+    if not len(targets):
+        raise row.fail("no target", "give at least one")
+    some = targets.poses_at(np.unique(np.linspace(0, len(targets) - 1, 1000).astype(np.int64)))[:, :3, 3]
+    doubts = [millimetres(robot, some, frame == "world") for robot in robots]
+    if all(doubts):
+        raise row.fail(str(doubts[0]), "lengths are metres, or those of a key that ends in _mm")
+    return targets
+
+
+def _scenes(row: Table, folder: Path, scene: Scene | None) -> list[Scene]:
+    """The scenes whose marks are asked for: those that are listed, or that of [collision]."""
+    listed = row.listed("scenes", "a list of scenes or files", 'scenes = ["cucumber_row"]')
+    if scene is not None and listed:
+        raise row.fail("scenes and [collision] scene both say what is in the way", "keep one")
+    found = []
+    for each in [scene] if scene is not None else listed:
+        if not isinstance(each, Scene | str):
+            raise row.fail(f"a scene is {type(each).__name__}", "write a shipped scene's name, a file, or a Scene")
+        found.append(each if isinstance(each, Scene) else load_scene(_file(folder, each)))
+        if not found[-1].marks:
+            raise row.fail(f"scene '{found[-1].name}' has no mark", "write [[mark]] with a name and a position")
+    return found
+
+
+def _given_targets(row: Table, folder: Path, frame: str, grasp: Grasp) -> Targets:
+    row.asked.update(("path", "poses"))
+    known = row.content.get("poses")
+    if known is not None and "path" in row.content:
+        raise row.fail("path and poses say the same", "keep one")
+    poses = read_targets(folder / row.text("path")) if known is None else np.asarray(known, np.float64)
+    if poses.shape[1:] in ((4, 4), (7,)):
+        return Targets("file", frame, np.zeros((0, 3, 3)), poses=poses)
+    if poses.ndim == 2 and poses.shape[1] == 3:
+        return Targets("file", frame, _rotations(row, grasp), positions=poses)
+    raise row.fail(f"poses of shape {poses.shape}", "allowed: (N, 4, 4); (N, 7) of x, y, z, qw, qx, qy, qz; positions (N, 3)")
+
+
+def _axis(row: Table, key: str) -> np.ndarray:
+    name = next((key + ending for ending in UNITS["length"] if key + ending in row.content), key)
+    given = row.content.get(name, (0, 0, 1))
+    if not (isinstance(given, list | tuple | np.ndarray) and len(given) == 3):
+        raise row.fail(f"'{key}' is not 3 numbers, from, to, count", f"write e.g. {key} = [-0.5, 0.5, 11]")
+    low, high, _ = row.array(key, "length", (3,))
+    count = float(given[2])  # which has no unit
+    if not (np.isfinite(low + high) and count.is_integer() and 1 <= count <= 10**6):
+        raise row.fail(f"{key} = [{low:g}, {high:g}, {count:g}]", f"write {key} = [from, to, count] [m]")
+    return np.linspace(low, high, int(count))
+
+
+def _rotations(row: Table, grasp: Grasp) -> np.ndarray:
+    """(t, 3, 3): every direction with every roll; none where any direction will do."""
+    given = row.content.get("directions", "any")
+    row.asked.update(("directions", "roll", "roll_deg"))
+    if isinstance(given, str) and given == "any":
+        if "roll" in row.content or "roll_deg" in row.content:
+            raise row.fail("'roll' without directions turns nothing", "give directions, or leave it out")
+        return np.zeros((0, 3, 3))
+    if isinstance(given, list | tuple | np.ndarray):
+        along = row.array("directions", "plain", (-1, 3))
+        if not np.all(np.linalg.norm(along, axis=1) > 1e-9):
+            raise row.fail("a direction has no length", "write [x, y, z]")
+    else:
+        along = sources.directions(row.count("directions", 1))
+    return sources.rotations(along, row.finite("roll", (-1,), unit="angle", default=[0.0]), grasp)

@@ -7,19 +7,19 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from jaxik.collision.scene import Scene
 from jaxik.files.targets import as_frames
-from jaxik.harvesting.crop import make_row
 from jaxik.kinematics.reach_bound import reach_bound
 from jaxik.kinematics.robot import Robot
 from jaxik.reach.grasp import Grasp, across
 from jaxik.spatial.rotations import to_wxyz
 
-KINDS = ("grid", "voxels", "file", "crop")
+KINDS = ("grid", "voxels", "file", "marks")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Targets:
 
     `axes` are the values of x, y and z of a grid [m]; `positions` (p, 3), where there is no grid, any points. `rotations`
     (t, 3, 3) turn the tool's axes into the frame's; none of them (0, 3, 3) leaves the rotation free. `poses` (N, 4, 4), or
-    positions with quaternions (N, 7), stand for both where every target has its own. `crop` (N,) numbers the scene of `scenes`
-    that a target belongs to: its crop without the fruit that is picked.
+    positions with quaternions (N, 7), stand for both where every target has its own. `among` (N,) numbers the scene of `scenes`
+    that a target stands in, where each has its own.
     """
 
     kind: str
@@ -39,7 +39,7 @@ class Targets:
     positions: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
     poses: np.ndarray | None = None
     scenes: tuple[Scene, ...] = ()
-    crop: np.ndarray | None = None
+    among: np.ndarray | None = None
 
     @property
     def free_rotation(self) -> bool:
@@ -52,7 +52,7 @@ class Targets:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of the grid: counts along x, y, z; or the one count of positions."""
+        """The counts of a grid along x, y, z; or the one count of positions."""
         if self.poses is not None:
             return (len(self.poses),)
         return tuple(len(a) for a in self.axes) or (len(self.positions),)
@@ -104,10 +104,10 @@ class Targets:
         if self.free_rotation:
             return dataclasses.replace(self, axes=(), positions=self.poses_at(rows)[:, :3, 3])
         alone = Targets(self.kind, self.frame, np.zeros((0, 3, 3)), poses=self.poses_at(rows))
-        if self.crop is None:
+        if self.among is None:
             return alone
-        used, crop = np.unique(self.crop[rows], return_inverse=True)
-        return dataclasses.replace(alone, crop=crop, scenes=tuple(self.scenes[c] for c in used))
+        used, among = np.unique(self.among[rows], return_inverse=True)
+        return dataclasses.replace(alone, among=among, scenes=tuple(self.scenes[i] for i in used))
 
     def only(self, rows: slice) -> tuple[Targets, slice]:
         """Targets that hold no others than these, as far as they are held one by one; and where these are among them."""
@@ -116,7 +116,7 @@ class Targets:
         return self.at(np.arange(rows.start, rows.stop)), slice(0, rows.stop - rows.start)
 
     def describe(self) -> dict[str, Any]:
-        """What tells these targets from others, in words and numbers that JSON holds; arrays by a hash."""
+        """A description that tells these targets from others, in words and numbers that JSON holds; arrays by a hash."""
         known: dict[str, Any] = {"kind": self.kind, "frame": self.frame, "count": len(self), "turns": self.turns}
         known |= {f"axis_{n}": [float(a[0]), float(a[-1]), len(a)] for n, a in zip("xyz", self.axes, strict=False)}
         arrays = {"rotations": self.rotations, "positions": self.positions, "poses": self.poses}
@@ -126,7 +126,7 @@ class Targets:
 
 
 def directions(count: int) -> np.ndarray:
-    """So many unit vectors (count, 3), evenly over the sphere (Fibonacci's lattice)."""
+    """Unit vectors (count, 3), evenly over the sphere (Fibonacci's lattice)."""
     i = np.arange(count) + 0.5
     z, around = 1.0 - 2.0 * i / count, np.pi * (1.0 + np.sqrt(5.0)) * i
     flat = np.sqrt(1.0 - z**2)
@@ -159,11 +159,13 @@ def voxels(robots: list[Robot], size: float) -> tuple[np.ndarray, ...]:
     return tuple((np.arange(a, b) + 0.5) * size for a, b in zip(first, last, strict=True))
 
 
-def from_crops(count: int, angles: int, seed: int, grasp: Grasp) -> Targets:
-    """All fruits of `count` cucumber rows, each approached from `angles` directions around its axis."""
-    crops = [make_row(seed + number) for number in range(count)]
-    picked = [(scene, fruit) for scene in crops for fruit in scene.marks]
-    poses = np.concatenate([grasp.frames(fruit, angles) for _, fruit in picked])
-    scenes = tuple(scene.without([fruit.name]) for scene, fruit in picked)  # the fruit that is picked is no obstacle
-    crop = np.repeat(np.arange(len(scenes)), angles)
-    return Targets("crop", "world", np.zeros((0, 3, 3)), poses=poses, scenes=scenes, crop=crop)
+def around_marks(scenes: Sequence[Scene], angles: int, grasp: Grasp) -> Targets:
+    """All marks of some scenes, each approached from `angles` directions around its axis; the object of a mark's name is no
+    obstacle to it."""
+    marked = [(scene, mark) for scene in scenes for mark in scene.marks]
+    without = lambda scene, name: scene.without([name] if name in scene.object_names else [])
+    around = tuple(without(scene, mark.name) for scene, mark in marked)
+    poses = np.concatenate([np.zeros((0, 4, 4)), *(grasp.frames(mark, angles) for _, mark in marked)])
+    return Targets(
+        "marks", "world", np.zeros((0, 3, 3)), poses=poses, scenes=around, among=np.repeat(np.arange(len(around)), angles)
+    )

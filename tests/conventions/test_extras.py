@@ -9,7 +9,7 @@ import pytest
 import jaxik
 from jaxik.cli import main
 from jaxik.harvesting.tour import shortest_tour
-from jaxik.sweeps import Study, Sweep
+from jaxik.sweeps import Study, SweepResult
 from jaxik.view import Page
 
 STUDY = {"robot": "p6r", "slides": 2, "targets": {"kind": "grid", "x": [0.5, 0.5, 1], "y": [0.5, 0.5, 1], "z": [0.5, 0.5, 1]}}
@@ -38,7 +38,7 @@ WITHOUT = [  # what is hidden, the extra that brings it, who asks for it
     ("mujoco", "mjcf", mjcf),
     ("mujoco", "mjcf", plant),
     ("zarr", "sweep", lambda folder: jaxik.sweep(STUDY, folder / "s.zarr")),
-    ("xarray", "sweep", lambda folder: Sweep(folder, Study.of(STUDY), 1, 1, {}).dataset()),
+    ("xarray", "sweep", lambda folder: SweepResult(folder, Study.of(STUDY), 1, 1, {}).dataset()),
     ("distributed", "cluster", lambda folder: jaxik.sweep(STUDY, folder / "s.zarr", cluster="tcp://127.0.0.1:9")),
     ("viser", "view", lambda folder: Page(jaxik.load("planar2"))),
     ("pyarrow", "parquet", parquet),

@@ -10,6 +10,7 @@ from types import ModuleType
 import jaxik
 
 FLOORS = [  # what the house is made of, from the ground up
+    "version",
     "spmd",  # the compiler of kernels knows no robot
     "reasons",
     "pytree",
@@ -34,8 +35,8 @@ FLOORS = [  # what the house is made of, from the ground up
     "touch",
     "teleoperation",
     "reach",
+    "sweeps",  # knows no fruit
     "harvesting",
-    "sweeps",
     "view",
     "cli",
     "__main__",

@@ -39,7 +39,7 @@ GRID = {
 }
 SMALL = {"robot": "p6r", "slides": 11, "chunk": 100, "audited": 0, "targets": GRID}
 TWO = SMALL | {"base": {"y": [0.0, 0.1]}, "chunk": 22, "targets": GRID | {"x": [-0.1, 1.1, 3], "y": [0.3, 0.8, 3]}}
-CROWDED = SMALL | {"collision": {"scene": "cucumber_row"}, "slides": 5, "chunk": 50}
+CROWDED = SMALL | {"collision": {"scene": "cucumber_row", "margin": 0.005}, "slides": 5, "chunk": 50}
 BARE = dataclasses.replace(jaxik.load("p6r"), boxes=())
 DATA = ("reachable", "reason", "proven", "between", "solutions", "q", "clearance", "limit_margin", "manipulability")
 
@@ -204,7 +204,7 @@ def test_a_closed_form_that_is_given_nothing_misses_nothing(tmp_path, monkeypatc
     targets = {"kind": "grid", "x": [0.3, 0.9, 3], "y": [0.0, 0.4, 3], "z": [0.2, 0.8, 3], "directions": [[0, 0, -1]]}
     done = jaxik.sweep({"robot": "ur5e", "targets": targets}, tmp_path / "u.zarr")
     known = done.dataset().attrs
-    assert done.counts["solved"] > 0 and known["false_negative_rate"] == 0.0
+    assert done.counts()["solved"] > 0 and known["false_negative_rate"] == 0.0
     assert known["audit"]["closed form"]["efforts"] == known["audit"]["closed form"]["rates"] == []
     monkeypatch.setattr(sweep_picture, "_draw_missed", lambda *_: pytest.fail("drawn"))
     sweep_picture.plot_sweep(tmp_path / "u.zarr", tmp_path / "u.png")
@@ -305,12 +305,13 @@ def test_kinds_of_targets(tmp_path):
     voxels = jaxik.sweeps.Study.of({"robot": "planar2", "targets": {"kind": "voxels", "size": 0.5}}).targets
     assert voxels.free_rotation and all(len(a) >= 4 for a in voxels.axes)
     assert np.allclose(voxels.poses_at(np.arange(1))[0, :3, 3], [a[0] for a in voxels.axes])
-    crop = jaxik.sweeps.Study.of({"robot": "p6r", "targets": {"kind": "crop", "crops": 2, "angles": 6}}).targets
-    assert len(crop) == 2 * 12 * 6 and crop.crop.max() == 23
+    rows = [jaxik.harvesting.make_row(seed) for seed in range(2)]
+    crop = jaxik.sweeps.Study.of({"robot": "p6r", "targets": {"kind": "marks", "scenes": rows, "angles": 6}}).targets
+    assert len(crop) == 2 * 12 * 6 and crop.among.max() == 23
     (tmp_path / "t.csv").write_text("x,y,z,qw,qx,qy,qz\n0.5,0.6,0.4,1,0,0,0\n0.5,0.6,0.4,0,0,0,0\n")
     (tmp_path / "s.toml").write_text('robot = "p6r"\nslides = 11\naudited = 0\n[targets]\nkind = "file"\npath = "t.csv"\n')
-    done = jaxik.sweep(tmp_path / "s.toml")
-    assert done.path == tmp_path / "s.zarr" and done.counts.get("invalid") == 1
+    done = jaxik.sweep(tmp_path / "s.toml", tmp_path / "s.zarr")
+    assert done.path == tmp_path / "s.zarr" and done.counts().get("invalid") == 1 and done and "invalid" in repr(done)
     rng = np.random.default_rng(5)
     rows = np.concatenate([rng.uniform(-1.0, 1.0, (9, 3)), rng.normal(size=(9, 4))], axis=1)
     np.savez(tmp_path / "t.npz", positions=rows[:, :3], wxyz=rows[:, 3:])
@@ -331,13 +332,13 @@ def test_kinds_of_targets(tmp_path):
 
 
 def test_crops_keep_clear_of_their_own_scene():
-    study = {"robot": "p6r", "slides": 5, "collision": {}, "targets": {"kind": "crop", "crops": 1, "angles": 4}}
-    study["collision"] = {"margin": 0.005}
+    study = {"robot": "p6r", "slides": 5, "collision": {"margin": 0.005}}
+    study["targets"] = {"kind": "marks", "scenes": ["cucumber_row"], "angles": 4}
     found, read = sweep_values(study), jaxik.sweeps.Study.of(study)
     reached = np.flatnonzero(found["reachable"])
     assert len(reached) and np.any(found["reason"] == Reason.COLLISION)
     for i in reached[:5]:
-        scene = read.targets.scenes[read.targets.crop[i]]
+        scene = read.targets.scenes[read.targets.among[i]]
         assert abs(float(jaxik.clearance(read.variants[0].robot, scene, found["q"][i])) - found["clearance"][i]) < 1e-5
 
 
@@ -348,7 +349,7 @@ def test_crops_keep_clear_of_their_own_scene():
         ({"slide": 3}, "unknown key 'slide'"),
         ({"chunk": 0}, "chunk = 0"),
         ({"targets": GRID | {"x": [0, 1]}}, "'x' is not 3 numbers, from, to, count"),
-        ({"targets": GRID | {"kind": "ball"}}, "allowed: grid, voxels, file, crop"),
+        ({"targets": GRID | {"kind": "ball"}}, "allowed: grid, voxels, file, marks"),
         ({"targets": GRID | {"directions": [[0, 0, 0]]}}, "a direction has no length"),
         ({"parameters": {"slide.width": [1]}}, "allowed: JOINT.lower"),
         ({"parameters": {"elbow.length": [1]}}, "has no joint 'elbow'"),
@@ -363,7 +364,15 @@ def test_crops_keep_clear_of_their_own_scene():
         ({"tool": {"up": [1, 0, 0]}, "targets": GRID | {"directions": "any", "roll_deg": None}}, "no target has a direction"),
         ({"targets": GRID | {"directions": "any"}}, "'roll' without directions"),
         ({"targets": GRID | {"roll_deg": []}}, "'roll' holds no number"),
-        ({"targets": {"kind": "crop", "frame": "base"}}, "a crop stands in the world"),
+        ({"targets": {"kind": "marks", "frame": "base"}}, "marks stand in the world"),
+        ({"targets": {"kind": "marks"}}, "no target; give at least one"),
+        ({"targets": {"kind": "marks", "scenes": "cucumber_row"}}, "'scenes' is not a list of scenes or files"),
+        ({"targets": {"kind": "marks", "scenes": [3]}}, "a scene is int"),
+        ({"targets": {"kind": "marks", "scenes": [jaxik.make_scene(name="bare")]}}, "scene 'bare' has no mark"),
+        (
+            {"collision": {"scene": "cucumber_row"}, "targets": {"kind": "marks", "scenes": ["cucumber_row"]}},
+            "scenes and [collision] scene both say",
+        ),
         ({"targets": {"poses": [[0, 1, 0]], "path": "a.csv"}}, "path and poses say the same"),
         ({"base": {"y": []}}, "'y' holds no number"),
         ({"base": {"y": [0.0, float("inf")]}}, "'y' holds inf"),
@@ -386,8 +395,21 @@ def test_a_study_that_cannot_be_read(change, words):
 
 def test_an_empty_collision_table_keeps_the_margin_in_a_search_too():
     """The robot from itself, by the margin that the store names, whichever way its targets are answered."""
-    study = jaxik.sweeps.Study.of({"robot": "crops_v2", "collision": {}, "targets": {"poses": [[0.5, 0.5, 0.5]]}})
-    assert study.collision and study.ik.margin == study.margin == 0.005
+    for given, margin in (({}, 0.0), ({"margin_mm": 5}, 0.005)):
+        study = jaxik.sweeps.Study.of({"robot": "crops_v2", "collision": given, "targets": {"poses": [[0.5, 0.5, 0.5]]}})
+        assert study.collision and study.ik.margin == study.margin == margin and study.ik.collision
+
+
+def test_marks_of_the_scene_that_is_in_the_way():
+    """Unless others are listed; what stands at a mark is no obstacle to it."""
+    targets = {"kind": "marks", "angles": 4}
+    own = jaxik.sweeps.Study.of({"robot": "p6r", "collision": {"scene": "cucumber_row"}, "targets": targets})
+    listed = jaxik.sweeps.Study.of({"robot": "p6r", "collision": {}, "targets": targets | {"scenes": ["cucumber_row"]}})
+    assert own.describe() == listed.describe() and own.scene is None and len(own.targets) == 48
+    bare = jaxik.collision.SceneBuilder("bare")
+    bare.add_mark("place", (0.5, 0.6, 0.5), axis=(0.0, 0.0, 1.0))
+    alone = jaxik.sweeps.Study.of({"robot": "p6r", "targets": targets | {"scenes": [bare.scene()]}})
+    assert len(alone.targets) == 4 and np.allclose(alone.targets.positions_at(np.arange(4)), [0.5, 0.6, 0.5])
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ STUDY = {
 @pytest.fixture(scope="module")
 def store(tmp_path_factory):
     done = jaxik.sweep(STUDY, tmp_path_factory.mktemp("view") / "row.zarr")
-    assert done.counts["solved"]
+    assert done.counts()["solved"]
     return done.path
 
 
