@@ -17,7 +17,9 @@ START = np.radians([30.0, -30.0, -30.0, -60.0])
 OBSTACLE, ACTIVATION, STEEP = (1.0, 1.1, 0.0), 0.2, 500.0
 IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 # the text's instantaneous motion goes down 50 times the gradient whose cost weighs 500
-INSTANTANEOUS = jaxik.motions.FollowOptions("asc", DT, "euler", IN_PLANE, alpha=0.1, gain=1.0, limits=False, tolerance=0.1)
+INSTANTANEOUS = jaxik.motions.FollowOptions(
+    dt=DT, integrator="euler", task=IN_PLANE, alpha=0.1, gain=1.0, limits=False, tolerance=0.1
+)
 
 
 @functools.cache
@@ -40,6 +42,6 @@ def position_cost(robot: jaxik.Robot) -> Callable[[Any], Any]:
     return lambda q: STEEP / 3.0 * jnp.maximum(ACTIVATION - jaxik.clearance(robot, scene, q), 0.0) ** 3
 
 
-def horizon(descend: jaxik.optimise.Descent = jaxik.optimise.QUASI_NEWTON) -> jaxik.motions.Horizon:
+def horizon(descend: jaxik.optimise.DescentOptions = jaxik.optimise.QUASI_NEWTON) -> jaxik.motions.PredictOptions:
     """The whole path, at the text's samples and with a gain of 1/s, by which the tip drifts by 3 cm."""
-    return jaxik.motions.Horizon(DT, round(DURATION / DT), task=IN_PLANE, gain=1.0, descend=descend)
+    return jaxik.motions.PredictOptions(dt=DT, count=round(DURATION / DT), task=IN_PLANE, gain=1.0, descend=descend)

@@ -109,7 +109,7 @@ def followed(robot: jaxik.Robot, poses: list[np.ndarray]) -> np.ndarray:
     start = np.tile(HOME, (len(poses), 1))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = follow(robot, paths, DURATION, start, cost, each=("path",), scheme="asc", dt=DT, alpha=0.5, limits=False)
+        found = follow(robot, paths, DURATION, start, cost=cost, each=("path",), dt=DT, alpha=0.5, limits=False)
     return np.clip(found.q[:, :: round(DURATION / SPANS / DT)], robot.lower, robot.upper)
 
 

@@ -39,16 +39,16 @@ def real_time(seconds: float) -> dict[str, Any]:
     """Times of one sample each, ours and CasADi's, and what the motion is like."""
     robot = case.arm()
     path, control = case.path(robot), case.controller(robot, seconds)
-    jax.block_until_ready(control.step(control.start(case.START), path, case.DURATION))
+    jax.block_until_ready(control.step(control.init(case.START), path, case.DURATION))
     begin = time.perf_counter()
-    cost, both = casadi_peer.programs(robot, control.horizon.count)
+    cost, both = casadi_peer.programs(robot, control.options.count)
     generated = time.perf_counter() - begin
-    look = jax.jit(lambda t: future(path, case.DURATION, control.horizon, t).asked)
+    look = jax.jit(lambda t: future(path, case.DURATION, control.options, t).asked)
     times, theirs, moved = [], [], []
     per_motion = round(case.DURATION / case.DT)
     for k in range(SAMPLES):
         if k % per_motion == 0:
-            state = control.start(case.START)
+            state = control.init(case.START)
         x, plan, asked = np.concatenate([state.q, state.u]), np.array(state.w.T), look(state.time)
         wanted = casadi_peer.targets(asked)
         begin = time.perf_counter()
@@ -59,7 +59,7 @@ def real_time(seconds: float) -> dict[str, Any]:
         jax.block_until_ready((state, sample))
         times.append(1e3 * (time.perf_counter() - begin))
         if k < per_motion:
-            moved.append((np.asarray(sample.q), np.asarray(sample.qdot)))
+            moved.append((np.asarray(sample.q), np.asarray(sample.velocity)))
     ours, peers = np.percentile(times, [50, 99]), np.percentile(theirs, [50, 99])
     return {
         "horizon_s": seconds,
@@ -90,7 +90,7 @@ def instantaneous() -> list[dict[str, Any]]:
     robot, rows = case.arm(), []
     for alpha in ALPHAS:
         moved = case.instantaneous(robot, alpha)
-        rows.append({"alpha": alpha, **character(robot, moved.q, moved.qdot)})
+        rows.append({"alpha": alpha, **character(robot, moved.q, moved.velocity)})
     return rows
 
 
@@ -100,7 +100,7 @@ def oracle(count: int = 200) -> dict[str, float]:
     horizon, rng = case.horizon(count * case.DT), np.random.default_rng(0)
     ahead = future(case.path(robot), case.DURATION, horizon, 1.5)
     plan = 0.3 * rng.normal(size=(count, robot.num_joints))
-    cost = jaxik.motions.quadratic_cost(case.position_cost(robot), case.VELOCITY, case.EFFORT)
+    cost = jaxik.costs.quadratic_cost(case.position_cost(robot), velocity=case.VELOCITY, effort=case.EFFORT)
     goal = objective(robot, cost, horizon, jnp.asarray(case.START), ahead, (), jnp.zeros(robot.num_joints))
     total, run = jax.jit(goal.value)(plan)
     gradient = case.DT * np.asarray(jax.jit(goal.gradient)(plan, run))
@@ -114,15 +114,15 @@ def oracle(count: int = 200) -> dict[str, float]:
 def scenarios(count: int = 256) -> list[dict[str, Any]]:
     """So many starts in one call, beside one alone; float32."""
     arm = pendulum.arm()
-    path, cost = pendulum.path(arm), jaxik.motions.quadratic_cost(pendulum.position_cost(arm))
+    path, cost = pendulum.path(arm), jaxik.costs.quadratic_cost(pendulum.position_cost(arm))
     starts = pendulum.START + 0.05 * np.random.default_rng(0).normal(size=(count, 4))
     rows = []
     for name, descend in {
-        "to the end": jaxik.optimise.Descent(),
-        "10 iterations": jaxik.optimise.Descent(iterations=10, tolerance=0.0),
+        "to the end": jaxik.optimise.DescentOptions(),
+        "10 iterations": jaxik.optimise.DescentOptions(iterations=10, tolerance=0.0),
     }.items():
         horizon = pendulum.horizon(descend)
-        run = lambda q, h=horizon: jax.block_until_ready(jaxik.predict(arm, path, 4.0, q, cost, h))
+        run = lambda q, h=horizon: jax.block_until_ready(jaxik.predict(arm, path, 4.0, q, cost, options=h))
         one, many = median_ms(lambda run=run: run(starts[0]), 51), median_ms(lambda run=run: run(starts), 11)
         rows.append({"what": name, "one_ms": one, "many_ms": many, "ratio": many / one})
     return rows
@@ -142,20 +142,20 @@ def optimum() -> dict[str, Any]:
     """The pendulum's optimum by the text's count, and at a sample time that hardly matters by four solvers."""
     arm = pendulum.arm()
     path, near = pendulum.path(arm), pendulum.position_cost(arm)
-    cost = jaxik.motions.quadratic_cost(near)
+    cost = jaxik.costs.quadratic_cost(near)
     exact = dataclasses.replace(jaxik.optimise.QUASI_NEWTON, tolerance=1e-13, iterations=3000)
     text = pendulum.horizon(exact)
-    many = jaxik.motions.multistart(arm, path, 4.0, pendulum.START, cost, text, starts=1000)
-    best = {"speed": float(np.sum(many.qdot[0] ** 2)), "total": float(many.total[0]) / text.dt}
+    many = jaxik.predict(arm, path, 4.0, pendulum.START, cost, options=text, starts=1000)
+    best = {"speed": float(np.sum(many.velocity[0] ** 2)), "total": float(many.total[0]) / text.dt}
     best["collision"] = float(np.sum(jax.jit(jax.vmap(near))(many.q[0, :-1])))
     share = float(np.mean(many.total < 1.01 * many.total[0]))
     print(best, share, flush=True)
     fine = dataclasses.replace(text, dt=0.001, count=4000, integrator="runge_kutta")
     guess = np.repeat(many.w[0], 40, axis=0)
-    quasi = jaxik.predict(arm, path, 4.0, pendulum.START, cost, fine, guess)
+    quasi = jaxik.predict(arm, path, 4.0, pendulum.START, cost, options=fine, guess=guess)
     print("quasi", float(quasi.total), flush=True)
-    gradients = jaxik.optimise.Descent(iterations=300, tolerance=1e-10)
-    conjugate = jaxik.predict(arm, path, 4.0, pendulum.START, cost, dataclasses.replace(fine, descend=gradients), guess)
+    gradients = jaxik.optimise.DescentOptions(iterations=300, tolerance=1e-10)
+    conjugate = jaxik.predict(arm, path, 4.0, pendulum.START, cost, options=fine, descend=gradients, guess=guess)
     print("conjugate", float(conjugate.total), flush=True)
     control, ahead = problem(arm, cost, fine), future(path, 4.0, fine)
     solve = jax.jit(lambda w: ilqr.solve(control, (jnp.asarray(pendulum.START), jnp.zeros(4)), w, ahead).run.total)
@@ -178,7 +178,7 @@ def first_call() -> float:
     robot = case.arm()
     path, control = case.path(robot), case.controller(robot, 2.0)
     begin = time.perf_counter()
-    jax.block_until_ready(control.step(control.start(case.START), path, case.DURATION))
+    jax.block_until_ready(control.step(control.init(case.START), path, case.DURATION))
     return time.perf_counter() - begin
 
 

@@ -50,12 +50,12 @@ def pendulum_motions() -> list[Shown]:
     """The instantaneous one and the optimum."""
     arm = pendulum.arm()
     path, near = pendulum.path(arm), pendulum.position_cost(arm)
-    now = jaxik.follow(arm, path, pendulum.DURATION, pendulum.START, near, pendulum.INSTANTANEOUS)
-    cost = jaxik.motions.quadratic_cost(near)
-    ahead = jaxik.predict(arm, path, pendulum.DURATION, pendulum.START, cost, pendulum.horizon())
+    now = jaxik.follow(arm, path, pendulum.DURATION, pendulum.START, cost=near, options=pendulum.INSTANTANEOUS)
+    cost = jaxik.costs.quadratic_cost(near)
+    ahead = jaxik.predict(arm, path, pendulum.DURATION, pendulum.START, cost, options=pendulum.horizon())
     return [
-        Shown("instantaneous", GREY, pendulum.DT, now.q[:-1], now.qdot[:-1]),
-        Shown("predictive", BLUE, pendulum.DT, np.asarray(ahead.q)[:-1], np.asarray(ahead.qdot)),
+        Shown("instantaneous", GREY, pendulum.DT, now.q[:-1], now.velocity[:-1]),
+        Shown("predictive", BLUE, pendulum.DT, np.asarray(ahead.q)[:-1], np.asarray(ahead.velocity)),
     ]
 
 
@@ -64,10 +64,10 @@ def nine_joint_motions(seconds: Sequence[float] = (0.15, 2.0), alpha: float = 1.
     robot = case.arm()
     path, colours = case.path(robot), plt.get_cmap("viridis")(np.linspace(0.3, 0.8, len(seconds)))
     now = case.instantaneous(robot, alpha)
-    shown = [Shown("instantaneous", GREY, case.DT, now.q[:-1], now.qdot[:-1])]
+    shown = [Shown("instantaneous", GREY, case.DT, now.q[:-1], now.velocity[:-1])]
     for horizon, colour in zip(seconds, colours, strict=True):
-        moved = jaxik.motions.follow_predictively(case.controller(robot, horizon), path, case.DURATION, case.START)
-        shown.append(Shown(f"horizon {horizon:g} s", colour, case.DT, moved.q, moved.qdot))
+        moved = case.controller(robot, horizon).follow(path, case.DURATION, case.START)
+        shown.append(Shown(f"horizon {horizon:g} s", colour, case.DT, moved.q, moved.velocity))
     return shown
 
 
@@ -114,17 +114,17 @@ def convergence(kind: str) -> Any:
     """Fig. 5.3 (`"direction"`, with a fixed step) or 5.4 (`"search"`, straight down): the cost and beta or alpha by iterations,
     in the text's own way, without restarts."""
     arm = pendulum.arm()
-    path, cost = pendulum.path(arm), jaxik.motions.quadratic_cost(pendulum.position_cost(arm))
-    solve = lambda how: jaxik.predict(arm, path, pendulum.DURATION, pendulum.START, cost, pendulum.horizon(how))
+    path, cost = pendulum.path(arm), jaxik.costs.quadratic_cost(pendulum.position_cost(arm))
+    solve = lambda how: jaxik.predict(arm, path, pendulum.DURATION, pendulum.START, cost, options=pendulum.horizon(how))
     best = float(solve(jaxik.optimise.QUASI_NEWTON).total) / pendulum.DT
     names = [n for n in get_args(Direction if kind == "direction" else Search) if n != "lbfgs"]
-    fixed = {"direction": "steepest", "search": "fixed", "step": 0.01, "restart": np.inf, "tolerance": 1e-4}
+    fixed = {"direction": "steepest", "search": "fixed", "step": 0.01, "restart": None, "tolerance": 1e-4}
     figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
     for name in names:
         options = fixed | {kind: name}
         if kind == "search" and name != "fixed":
             options["step"] = 0.05
-        found = solve(jaxik.optimise.Descent(**options))
+        found = solve(jaxik.optimise.DescentOptions(**options))
         axes[0].plot(np.asarray(found.totals) / pendulum.DT, ".-", label=name.replace("_", " "))
         axes[1].plot(np.asarray(found.betas if kind == "direction" else found.alphas), ".-")
     axes[0].axhline(best, color="k", ls="--", lw=1, label="optimum (L-BFGS)")

@@ -27,7 +27,7 @@ from scipy.interpolate import CubicSpline
 
 import jaxik
 from jaxik.motions.predictive import future, objective
-from jaxik.optimise.descent import QUASI_NEWTON, Descent, Direction, Search
+from jaxik.optimise.descent import QUASI_NEWTON, DescentOptions, Direction, Search
 
 HORIZON, ARM = pendulum.horizon(), pendulum.arm()
 DT, COUNT = HORIZON.dt, HORIZON.count
@@ -39,7 +39,7 @@ def configuration_cost(q: Any) -> Any:
     return 0.5 * jaxik.costs.comfort_cost(ARM, q) + jaxik.costs.joint_limit_cost(ARM, q, 0.25)
 
 
-COST = jaxik.motions.quadratic_cost(configuration_cost)
+COST = jaxik.costs.quadratic_cost(configuration_cost)
 
 
 def settings(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -55,15 +55,15 @@ def paths(q: np.ndarray, goals: np.ndarray) -> jaxik.motions.Line:
     return jaxik.motions.Line(start, end)
 
 
-def methods() -> dict[str, Descent]:
+def methods() -> dict[str, DescentOptions]:
     found = {}
     for direction in get_args(Direction):
         for search in get_args(Search):
             if direction != "lbfgs":
                 step = 0.01 if search == "fixed" else 0.05
-                found[f"{direction}, {search}"] = Descent(direction, search, step=step, restart=np.inf)
+                found[f"{direction}, {search}"] = DescentOptions(direction=direction, search=search, step=step, restart=None)
         if direction not in ("lbfgs", "steepest"):
-            found[f"{direction}, polynomial, restarts"] = Descent(direction)
+            found[f"{direction}, polynomial, restarts"] = DescentOptions(direction=direction)
     found["lbfgs, backtracking"] = QUASI_NEWTON
     return found
 
@@ -85,8 +85,8 @@ def main(count: int) -> dict[str, Any]:
     results, rows = {}, []
     for name, descend in methods().items():
         horizon = dataclasses.replace(HORIZON, descend=descend)
-        run = lambda h=horizon: jax.block_until_ready(jaxik.predict(ARM, ways, 4.0, q, COST, h, each=("path",)))
-        alone = lambda i, h=horizon: jax.block_until_ready(jaxik.predict(ARM, way(ways, i), 4.0, q[i], COST, h))
+        run = lambda h=horizon: jax.block_until_ready(jaxik.predict(ARM, ways, 4.0, q, COST, options=h, each=("path",)))
+        alone = lambda i, h=horizon: jax.block_until_ready(jaxik.predict(ARM, way(ways, i), 4.0, q[i], COST, options=h))
         run(), alone(0)
         start = time.perf_counter()
         found = run()

@@ -17,7 +17,7 @@ import numpy as np
 
 import jaxik
 from jaxik.collision.clearances import link_clearances
-from jaxik.motions.predictive import Horizon
+from jaxik.motions import PredictiveController, PredictOptions
 
 DT, DURATION = 0.01, 4.0
 START = np.array([0.56, 0.42, -1.4, 1.18, 0.48, 1.54, -0.05, 0.34, 0.54])
@@ -57,18 +57,17 @@ def position_cost(robot: jaxik.Robot) -> Callable[[Any], Any]:
     return cost
 
 
-def horizon(seconds: float) -> Horizon:
-    return Horizon(DT, round(seconds / DT), task=POSITION, gain=10.0, weights=WEIGHTS)
+def horizon(seconds: float) -> PredictOptions:
+    return PredictOptions(dt=DT, count=round(seconds / DT), task=POSITION, gain=10.0, weights=WEIGHTS)
 
 
-def controller(robot: jaxik.Robot, seconds: float) -> jaxik.motions.MovingHorizon:
+def controller(robot: jaxik.Robot, seconds: float) -> PredictiveController:
     """One iteration a sample."""
-    return jaxik.motions.MovingHorizon(
-        robot, jaxik.motions.quadratic_cost(position_cost(robot), VELOCITY, EFFORT), horizon(seconds)
-    )
+    cost = jaxik.costs.quadratic_cost(position_cost(robot), velocity=VELOCITY, effort=EFFORT)
+    return PredictiveController(robot, cost, options=horizon(seconds))
 
 
 def instantaneous(robot: jaxik.Robot, alpha: float) -> Any:
     """The motion that goes down `alpha` times the cost's gradient at every moment."""
-    how = jaxik.motions.FollowOptions("asc", DT, "euler", POSITION, alpha, gain=10.0, weights=WEIGHTS, limits=False)
-    return jaxik.follow(robot, path(robot), DURATION, START, position_cost(robot), how)
+    how = {"dt": DT, "integrator": "euler", "task": POSITION, "gain": 10.0, "weights": WEIGHTS, "limits": False}
+    return jaxik.follow(robot, path(robot), DURATION, START, cost=position_cost(robot), alpha=alpha, **how)

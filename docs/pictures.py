@@ -15,7 +15,8 @@ import matplotlib
 import numpy as np
 
 import jaxik
-from jaxik.motions import FollowOptions, Horizon, Line, quadratic_cost
+from jaxik.costs import quadratic_cost
+from jaxik.motions import Line
 from jaxik.reach import prove_reach
 
 matplotlib.use("Agg")
@@ -262,9 +263,9 @@ def predictive() -> None:
     path, task = Line(start, end), jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
     scene = jaxik.make_scene(points=[[1.0, 1.1, 0.0]])
     near = lambda q: 500.0 / 3.0 * jnp.maximum(0.2 - jaxik.clearance(arm, scene, q), 0.0) ** 3
-    now = jaxik.follow(arm, path, 4.0, q, near, FollowOptions("asc", dt=0.01, alpha=0.1, task=task))
-    horizon = Horizon(dt=0.01, count=400, task=task, descend=jaxik.optimise.QUASI_NEWTON)
-    ahead = jaxik.predict(arm, path, 4.0, q, quadratic_cost(near), horizon)
+    now = jaxik.follow(arm, path, 4.0, q, cost=near, dt=0.01, alpha=0.1, task=task)
+    best = jaxik.optimise.QUASI_NEWTON
+    ahead = jaxik.predict(arm, path, 4.0, q, quadratic_cost(near), dt=0.01, count=400, task=task, descend=best)
     figure, axes = plt.subplots(1, 3, figsize=(11, 4), width_ratios=(1, 1, 1.3))
     places = jax.vmap(lambda q: jaxik.kinematics.link_frames(arm, q)[:, :3, 3])
     tip = jax.vmap(lambda q: jaxik.forward_kinematics(arm, q)[:3, 3])
@@ -281,7 +282,7 @@ def predictive() -> None:
         axis.plot([start[0, 3], end[0, 3]], [start[1, 3], end[1, 3]], "--", color="black", lw=1)
         axis.set(title=title, xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=(-1.2, 1.8), ylim=(-0.3, 4.0))
     for motion, colour, style, label in ((now, GREY, "--", "moment by moment"), (ahead, BLUE, "-", "ahead of time")):
-        speed = np.linalg.norm(np.asarray(motion.qdot)[:400], axis=1)
+        speed = np.linalg.norm(np.asarray(motion.velocity)[:400], axis=1)
         axes[2].plot(0.01 * np.arange(len(speed)), speed, style, color=colour, lw=2, label=label)
     axes[2].set(xlabel="time [s]", ylabel="speed of the joints [rad/s]", title="no late dodging")
     axes[2].legend(fontsize=8)

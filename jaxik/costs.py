@@ -17,18 +17,22 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import Array
 from jaxik.checks.options import shown
+from jaxik.dynamics.recursions import GRAVITY, energy, gravity_torque
 from jaxik.kinematics.robot import Robot, as_configuration
 
 __all__ = [
     "collision_cost",
     "comfort_cost",
     "damping_cost",
+    "energy_cost",
     "joint_limit_cost",
     "joint_limit_margin",
+    "quadratic_cost",
     "weighted_sum",
 ]
 
 Cost = Callable[[Any], Any]
+RunningCost = Callable[..., Any]  # (q, qdot, input, t), and what is given, if anything is: cost per second
 
 
 @functools.lru_cache(maxsize=64)
@@ -104,6 +108,46 @@ def joint_limit_margin(robot: Robot, q: Float[Array, " n"]) -> Float[Array, ""]:
     lower, upper = (jnp.asarray(x, q.dtype) for x in _range(robot))
     share = jnp.minimum(q - lower, upper - q) / ((upper - lower) / 2.0)
     return jnp.min(jnp.where(counted, share, 1.0))
+
+
+def quadratic_cost(position: Callable[..., Any] | None = None, *, velocity: float = 2.0, effort: float = 2.0) -> RunningCost:
+    """The running cost `l = H(q) + velocity/2 qdot'qdot + effort/2 w'w` of a motion. Traced. Source: Schuetz 2017,
+    (5.11)-(5.14).
+
+    `position` is H, of q and, if something is given to the cost (a scene, weights), of that.
+    """
+
+    def running(q: Any, qdot: Any, w: Any, t: Any, *given: Any) -> Any:
+        level = 0.0 if position is None else position(q, *given)
+        return level + 0.5 * velocity * jnp.sum(qdot**2) + 0.5 * effort * jnp.sum(w**2)
+
+    return running
+
+
+def energy_cost(
+    robot: Robot,
+    position: Callable[..., Any] | None = None,
+    *,
+    kinetic: float = 1.0,
+    holding: float = 0.0,
+    torque: Any = 1.0,
+    effort: float = 2.0,
+    gravity: Any = GRAVITY,
+) -> RunningCost:
+    """The running cost `l = H(q) + kinetic T(q, qdot) + holding/2 sum (g_i(q) / torque_i)^2 + effort/2 w'w` of a motion.
+    Traced.
+
+    It is the energy in the moving masses [J], and the heat in windings that hold them, which grows with the square of torque;
+    torques that accelerate are not in it. `torque` (n,) or one number [Nm, N] is what counts as one; `position` and `effort`
+    are those of `quadratic_cost`. Raises `ValueError` for a robot without bodies, when it is called.
+    """
+
+    def running(q: Any, qdot: Any, w: Any, t: Any, *given: Any) -> Any:
+        held = jnp.sum((gravity_torque(robot, q, gravity=gravity) / jnp.asarray(torque, q.dtype)) ** 2) if holding else 0.0
+        level = kinetic * energy(robot, q, qdot).kinetic + 0.5 * holding * held + 0.5 * effort * jnp.sum(w**2)
+        return level if position is None else level + position(q, *given)
+
+    return running
 
 
 def _range(robot: Robot) -> tuple[np.ndarray, np.ndarray]:

@@ -34,15 +34,15 @@ def motions(robot: jaxik.Robot, q: np.ndarray) -> jaxik.Reason:
     path = jaxik.motions.Line(start, start + 0.001 * np.eye(4, k=3))
     followed = jaxik.follow(robot, path, 0.1, q, dt=0.05)
     moved: np.ndarray = followed.q
-    rates: np.ndarray = followed.qdot
+    rates: np.ndarray = followed.velocity
     print(moved.shape == rates.shape, followed.time[-1], np.abs(followed.error).max(), followed.damping.max())
-    cost = jaxik.motions.quadratic_cost()
+    cost = jaxik.costs.quadratic_cost()
     ahead = jaxik.predict(robot, path, 0.1, q, cost, dt=0.05, count=2)
     planned: np.ndarray = np.asarray(ahead.q)
     print(planned.shape, float(ahead.total), ahead.w.shape, ahead.costs.shape, int(ahead.iterations), int(ahead.sample))
-    control = jaxik.motions.MovingHorizon(robot, cost, jaxik.motions.Horizon(0.05, 2))
-    state, now = control.step(control.start(q), path, 0.1)
-    print(state.time.shape, now.qdot.shape, now.planned.shape, float(now.total))
+    control = jaxik.motions.PredictiveController(robot, cost, dt=0.05, count=2)
+    state, now = control.step(control.init(q), path, 0.1)
+    print(state.time.shape, now.velocity.shape, now.planned.shape, float(now.total))
     return jaxik.Reason(int(followed.reason))
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from jax import lax
 
 from jaxik import Reason, Robot
-from jaxik.motions import Horizon, resolve
+from jaxik.motions import PredictOptions, resolve
 
 NEWTON = 20  # steps to the input, at most
 STATIONARY = 1e-9  # share of dH/dw and H without an input that may be left of dH/dw
@@ -52,14 +52,14 @@ def boundary_value(
     duration: float,
     q: Any,
     cost: Any,
-    horizon: Horizon,
+    horizon: PredictOptions,
     *,
     guess: Any = None,
     tolerance: float = 1e-6,
     nodes: int = 20,
     max_nodes: int = 20000,
 ) -> Boundary:
-    """Solves it over the horizon from q (n,), beginning with `guess`, a `Prediction`, or, on `nodes` equal steps, with the
+    """Solves it over the horizon from q (n,), beginning with `guess`, a `PredictResult`, or, on `nodes` equal steps, with the
     instantaneous motion's q, and u = lambda = 0. The arguments are those of `jaxik.predict`.
 
     Beyond the joints' limits, or off its path, the motion is no success. Raises `ValueError` for a q or a guess of another
@@ -96,7 +96,9 @@ def _start(robot: Robot, q: Any, guess: Any) -> np.ndarray:
     return start
 
 
-def _judged(robot: Robot, horizon: Horizon, q: np.ndarray, rate: np.ndarray, error: np.ndarray, costs: np.ndarray) -> Reason:
+def _judged(
+    robot: Robot, horizon: PredictOptions, q: np.ndarray, rate: np.ndarray, error: np.ndarray, costs: np.ndarray
+) -> Reason:
     """The reason of a motion's samples, by the limits of position and velocity and by the tip's error."""
     if not all(np.isfinite(x).all() for x in (q, rate, error, costs)):
         return Reason.INVALID
@@ -125,7 +127,7 @@ class _System:
 
     robot: Robot
     cost: Any
-    horizon: Horizon
+    horizon: PredictOptions
 
     @property
     def rate_level(self) -> bool:
@@ -188,7 +190,7 @@ class _System:
         """What must be 0 of the first and the last z."""
         n = self.robot.num_joints
         (first, adjoint), (_, last) = jnp.split(a, 2), jnp.split(b, 2)
-        if self.horizon.start == "given":
+        if not self.horizon.free_start:
             return jnp.concatenate([first[:n] - start, first[n:], last])
         none = self.resolved(world, 0.0, first[:n], adjoint[:n], gain=0.0)  # a path starts at rest: the rate is N lambda
         return jnp.concatenate([none.error, basis.T @ none.rate, first[n:], last])

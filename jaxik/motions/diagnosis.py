@@ -1,24 +1,47 @@
-"""What became of a motion: the first sample at which it fails, and why."""
+"""Judgement of a motion: the first sample at which it fails, and why."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxik.kinematics.reach_bound import reach_bound
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
 from jaxik.reasons import Reason
+from jaxik.results import Result
 from jaxik.spmd import kernel
 
 FASTER = 1e-4  # of a joint's velocity limit, that rounding and differences of samples may add
 
 
+class MotionResult(Result):
+    """The base of results that `diagnose` judged: their `why` names the `sample` at which a motion fails."""
+
+    ROW: ClassVar = "motion"
+    HELP: ClassVar = {
+        Reason.OUT_OF_REACH: "ask solve_ik for poses on the path first",
+        Reason.LIMITS: "give it more time, begin elsewhere, or widen the limits",
+        Reason.SINGULAR: "lead the path around, or free a component of the task",
+        Reason.NOT_CONVERGED: "begin the path at the tip's pose, or change gain or dt",
+        Reason.INVALID: "look for NaN in the path, q and the cost",
+        Reason.STILL: "give the path a length",
+    }
+
+    def _words(self, reason: Reason, row: int) -> str:
+        words = super()._words(reason, row)
+        if reason in (Reason.SOLVED, Reason.STILL):
+            return words
+        sample: Any = np.ravel(getattr(self, "sample"))[row]  # noqa: B009  # each subclass declares it
+        return words.replace(reason.text, f"{reason.text} at sample {int(sample)}", 1)
+
+
 class Course(NamedTuple):
     """A motion's samples: q and qdot (k, n), the tip's error (k, m) [m, rad], the damping (k,), the pose (k, 4, 4) that was
-    asked, whether limits held a joint back (k,), and what each costs (k,)."""
+    asked, whether limits held a joint back (k,), and the cost of each (k,)."""
 
     q: Any
     qdot: Any
@@ -44,7 +67,7 @@ def diagnose(robot: Robot, task: Task, course: Course, tolerance: float, keep: b
 
 
 class _Known(NamedTuple):
-    """What is known of a motion up to a sample: whether it failed, at which sample and why; whether damping and limits acted
+    """The knowledge of a motion up to a sample: whether it failed, at which sample and why; whether damping and limits acted
     since the tip was last where it should be; whether it was late then, whether the path is beyond reach since, whether it
     moves, and whether it began late."""
 
@@ -110,7 +133,7 @@ def _diagnosed(
 
 
 def _moment(robot: Robot, task: Task, tolerance: float, keep: bool, now: Course, first: Any) -> tuple[Any, ...]:
-    """Of a sample, beside the `first` pose: whether it is lost, outside of the limits, late, well, beyond reach, and moved."""
+    """Whether a sample is lost, outside of the limits, late, well, beyond reach, and has moved from the `first` pose."""
     q, qdot, error, _, pose, _, costs = now
     finite = [jnp.all(jnp.isfinite(x)) for x in (q, qdot, error, pose, costs)]
     lost = ~jnp.all(jnp.stack(finite))

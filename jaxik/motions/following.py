@@ -1,4 +1,4 @@
-"""A whole motion along a path with redundancy resolved moment by moment, inside the joints' limits, and what became of it.
+"""Whole motions along a path with redundancy resolved moment by moment, inside the joints' limits.
 
 Where the joints' limits are kept, each rate, or each acceleration, lies between bounds that follow from all of them
 (`RateLimits`). Nothing stops a motion that goes wrong while it is computed; it is judged afterwards, sample by sample, and
@@ -7,7 +7,6 @@ from the first one that fails the arm stands still: what was before stays as it 
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import warnings
 from collections.abc import Callable, Sequence
@@ -18,73 +17,70 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import numbers, positive
-from jaxik.checks.options import batch_axes, changed, check_choices, check_each, check_finite, check_kind, shown
+from jaxik.checks.arrays import is_known, numbers
+from jaxik.checks.options import batch_axes, check_each, check_kind
 from jaxik.costs import Cost
+from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
-from jaxik.kinematics.task import POSE, Task
-from jaxik.motions.diagnosis import Course, diagnose
-from jaxik.motions.nullspace import FLOOR, Box, RateLimits, Resolved, loop_gain, resolve, settles
+from jaxik.motions.diagnosis import Course, MotionResult, diagnose
+from jaxik.motions.nullspace import Box, LoopOptions, RateLimits, Resolved, loop_gain, resolve
 from jaxik.motions.path import Path, TipMotion, check_path
 from jaxik.optimise import ocp
-from jaxik.reasons import Reason, Reasoned
+from jaxik.options import choice, flag, number, per_joint
+from jaxik.reasons import Reason
 from jaxik.spmd import kernel
+from jaxik.spmd.batch import cores, in_blocks
 
 Scheme = Literal["rmrc", "asc", "rac"]
 Each = Literal["path", "duration"]
+LANES = 128  # motions a call where there are more: another number compiles nothing
+Axes = tuple[int | None, ...]
+Progress = Callable[[int, int], Any]
 
 
-@dataclasses.dataclass(frozen=True)
-class FollowOptions:
-    """How a path is followed: the `scheme`; the sample time `dt` [s]; the `integrator` of rates (rac integrates accelerations
-    by half their square); the `task`; `alpha` of the cost's gradient and `damping` [1/s] of null-space velocity (rac); `gain`
-    [1/s] of the closed loop, by default 1/dt, which takes a sample's error back in the next (rac: 0.5/dt, critically damped).
+class FollowOptions(LoopOptions, who="follow"):
+    """How a path is followed."""
 
-    `limits` keeps the robot's joint limits and velocity limits, and `acceleration` [rad/s2, m/s2], one number or one a joint,
-    is kept, too. A motion fails where the tip is further from its path than `tolerance` [m, rad] in any bound component.
+    scheme: str = choice(
+        default="asc",
+        kinds=Scheme,
+        words="rmrc: the least rates; asc: down the cost's gradient; rac: the same by accelerations",
+    )
+    dt: float = number(default=0.001, above=0.0, unit="s", words="sample time")
+    integrator: str = choice(
+        default="runge_kutta", kinds=ocp.Integrator, words="of rates; rac integrates accelerations by half their square"
+    )
+    alpha: float = number(default=1.0, least=0.0, words="times the cost's gradient are the rates, or accelerations, down it")
+    damping: float = number(default=1.0, least=0.0, unit="1/s", words="of velocity in the null space, by rac")
+    limits: bool = flag(default=True, words="whether the robot's limits of position and velocity are kept")
+    acceleration: float | tuple[float, ...] | None = per_joint(unit="rad/s2, m/s2", words="most of each joint, or of all")
+    tolerance: float = number(default=0.01, above=0.0, unit="m, rad", words="error in a component at which the motion fails")
+
+
+class FollowResult(MotionResult):
+    """A motion along a path, or b of them.
+
+    time (k,) [s], q and velocity (k, n) [rad, m; per s]: the joints over time.
+    error (k, m) [m, rad], damping (k,): the tip's error and the damping that a singularity needed, 0 where none.
+    reason, sample: why it failed, and the sample where it happened, k if it is solved.
+    total (k,): the cost of each sample's plan, where a `PredictiveController` moved; else None.
+
+    From the sample where it fails on, the arm stands still, but under a controller.
     """
 
-    scheme: str = "rmrc"
-    dt: float = 0.001
-    integrator: str = "runge_kutta"
-    task: Task = POSE
-    alpha: float = 1.0
-    damping: float = 1.0
-    gain: float | None = None
-    weights: tuple[float, ...] | None = None
-    limits: bool = True
-    acceleration: float | tuple[float, ...] | None = None
-    tolerance: float = 0.01
-    floor: float = FLOOR
-
-    def __post_init__(self) -> None:
-        check_choices("follow", scheme=(self.scheme, Scheme), integrator=(self.integrator, ocp.Integrator))
-        check_kind("follow", "task", self.task, Task)
-        check_finite("follow", dt=self.dt, tolerance=self.tolerance, gain=0.0 if self.gain is None else self.gain)
-        check_finite("follow", 0.0, alpha=self.alpha, damping=self.damping, floor=self.floor)
-        if not isinstance(self.limits, bool | np.bool_):
-            raise ValueError(f"follow: limits is {shown(self.limits)}; allowed: True, False")
-        object.__setattr__(self, "weights", positive("follow: weights", self.weights))  # hashable: a program is made for them
-        object.__setattr__(self, "acceleration", positive("follow: acceleration [rad/s2, m/s2]", self.acceleration, True))
-        if not (self.dt > 0.0 and self.tolerance > 0.0 and settles(self.gain, self.dt)):
-            told = f"dt {self.dt}, tolerance {self.tolerance}, gain {self.gain}"
-            raise ValueError(f"follow: {told}; allowed: dt > 0, tolerance > 0, 0 <= gain dt < 2")
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Followed(Reasoned):
-    """A motion: time (k,) [s], q and qdot (k, n), the tip's error (k, m) and the damping (k,) of each sample; the reason, and
-    the sample where it happened, k if it was solved. After that sample the arm stands still. Batches have a leading axis but
-    for time."""
-
-    time: Float[np.ndarray, " k"]
+    time: Float[np.ndarray, "*b k"]
     q: Float[np.ndarray, "*b k n"]
-    qdot: Float[np.ndarray, "*b k n"]
+    velocity: Float[np.ndarray, "*b k n"]
     error: Float[np.ndarray, "*b k m"]
     damping: Float[np.ndarray, "*b k"]
     reason: Int[np.ndarray, "*b"]
     sample: Int[np.ndarray, "*b"]
+    total: Float[np.ndarray, "*b k"] | None = None
+
+    @property
+    def motion(self) -> Motion:
+        """The joints over time."""
+        return Motion(self.q, self.velocity, time=self.time)
 
 
 def follow(
@@ -92,48 +88,86 @@ def follow(
     path: Path,
     duration: Any,
     q: Any,
+    *,
     cost: Cost | None = None,
     options: FollowOptions | None = None,
     each: Sequence[str] = (),
+    progress: Progress | None = None,
     **changes: Any,
-) -> Followed:
-    """The motion from q (n,), at rest, along `path`, timed over `duration` [s]; `cost` is what the null space goes down. Its
-    last sample is the first that is not before the path's end. Host driver.
+) -> FollowResult:
+    """Moves from q (n,), at rest, along `path`, timed over `duration` [s], while the null space goes down a `cost`. The last
+    sample is the first that is not before the path's end. Host driver.
 
     With q (b, n) it is b motions in one call; `each` names what else has one entry a motion ("path", "duration"). `changes`
-    are fields of `FollowOptions` by name.
-    Raises `ValueError` for a q of another shape, what is no path, a duration that is not positive, weights or accelerations of
-    another length, or a name in `each` that is not known.
+    are fields of `FollowOptions` by name; `progress(done, total)` counts motions. Raises `ValueError` for a q of another shape,
+    an object that is no path, a duration that is not positive, weights or accelerations of another length, and other names.
     """
-    options = changed("follow", options or FollowOptions(), changes)
+    options = FollowOptions.chosen(options, changes)
     q = numbers("follow: q", q)
-    check_each("follow", each, Each)
-    check_path("follow", path, duration, q.shape[:1] if "duration" in each else ())
-    n, faster = robot.num_joints, options.acceleration
-    if q.ndim not in (1, 2) or q.shape[-1] != n or (each and q.ndim == 1):
-        allowed = f"({n},), or rows of it, as where `each` names something"
-        raise ValueError(f"follow: q has the shape {q.shape}; {robot.name} takes {allowed}")
-    if isinstance(faster, tuple) and len(faster) != n:
+    axes = scenario_axes("follow", robot, path, duration, q, each, Each)
+    n, most = robot.num_joints, options.acceleration
+    if isinstance(most, tuple) and len(most) != n:
         allowed = f"one, or one for each of the {n} joints of {robot.name}"
-        raise ValueError(f"follow: acceleration has {len(faster)} numbers; allowed: {allowed}")
+        raise ValueError(f"follow: acceleration has {len(most)} numbers; allowed: {allowed}")
     count = samples(float(np.max(duration)), options.dt)
-    axes = None if q.ndim == 1 else (0, *batch_axes(each, Each))
-    found = _program(robot, cost, options, count, axes)(jnp.asarray(q), path, duration)
-    followed = Followed(options.dt * np.arange(count), *map(np.asarray, found))
-    off = np.max(np.abs(followed.error[..., 0, :]), initial=0.0)
+    program = _program(robot, cost, options, count, axes)
+    found = by_scenarios(program, axes, (jnp.asarray(q), path, duration), progress)
+    time = np.broadcast_to(options.dt * np.arange(count), (*q.shape[:-1], count))
+    moved = FollowResult(time, *map(np.asarray, found))
+    off = np.max(np.abs(moved.error[..., 0, :]), initial=0.0)
     if off > options.tolerance:
         warnings.warn(f"follow: the path begins {off:.2g} m or rad from the tip at q; begin it there", stacklevel=2)
-    return followed
+    return moved
 
 
 def samples(duration: float, dt: float) -> int:
-    """How many samples every `dt` [s] there are from 0 to the first that is not before the end."""
+    """The number of samples every `dt` [s] from 0 to the first that is not before the end."""
     return int(np.ceil(duration / dt - 1e-6)) + 1
+
+
+def scenario_axes(who: str, robot: Robot, path: Path, duration: Any, q: Any, each: Sequence[str], kinds: Any) -> Axes | None:
+    """The axes of scenarios in q and in each of `kinds`; None for one scenario. Raises `ValueError`, `who` asking, for another
+    robot, path, duration or q, and for a name in `each` that is none of `kinds`."""
+    check_kind(who, "robot", robot, Robot)
+    check_each(who, each, kinds)
+    check_path(who, path, duration, q.shape[:1] if "duration" in each else ())
+    n = robot.num_joints
+    if q.ndim not in (1, 2) or q.shape[-1] != n or (each and q.ndim == 1):
+        allowed = f"({n},), or rows of it, as where `each` names something"
+        raise ValueError(f"{who}: q has the shape {q.shape}; {robot.name} takes {allowed}")
+    return None if q.ndim == 1 else (0, *batch_axes(each, kinds))
+
+
+def by_scenarios(
+    program: Callable[..., Any], axes: Axes | None, args: tuple[Any, ...], progress: Progress | None = None
+) -> Any:
+    """The program's result for one scenario or many, which go block by block on a CPU; `progress` counts them."""
+    count = 1 if axes is None else len(args[0])
+    if axes is None or count <= LANES or not is_known(args) or jax.default_backend() != "cpu":
+        found = program(*args)
+        if progress:
+            progress(count, count)
+        return found
+    rows, tree = jax.tree_util.tree_flatten(tuple(a for a, axis in zip(args, axes, strict=True) if axis == 0))
+    made: list[Any] = []
+
+    def block(*rows: Any) -> Any:
+        own = iter(jax.tree_util.tree_unflatten(tree, rows))
+        found = program(*(next(own) if axis == 0 else a for a, axis in zip(args, axes, strict=True)))
+        made.append(jax.tree_util.tree_structure(found))
+        return found
+
+    parts, size = [], LANES * cores() if progress else count
+    for start in range(0, count, size):
+        parts.append(in_blocks(block, *(np.asarray(row)[start : start + size] for row in rows), size=LANES))
+        if progress:
+            progress(min(start + size, count), count)
+    return jax.tree_util.tree_unflatten(made[0], [np.concatenate(part) for part in zip(*parts, strict=True)])
 
 
 @functools.lru_cache(maxsize=32)
 def _program(
-    robot: Robot, cost: Cost | None, how: FollowOptions, count: int, axes: tuple[int | None, ...] | None
+    robot: Robot, cost: Cost | None, how: FollowOptions, count: int, axes: Axes | None
 ) -> Callable[..., tuple[Any, ...]]:
     def run(q: Any, path: Path, duration: Any) -> tuple[Any, ...]:
         times = how.dt * (jnp.arange(float(count))[:, None] + jnp.array([0.0, 0.5, 1.0]))
@@ -183,7 +217,7 @@ def _moved(
 
 
 def _standing(course: Course, k: Any) -> tuple[Any, Any, Any, Any]:
-    """q, qdot, error and damping of a motion that stops before sample k."""
+    """The q, qdot, error and damping of a motion that stops before sample k."""
     index, last = jnp.arange(len(course.q)), jnp.maximum(k - 1, 0)
     before, moving = index < k, index < jnp.where(k < len(index), last, k)
     q, error = (jnp.where(before[:, None], x, x[last]) for x in (course.q, course.error))

@@ -34,6 +34,7 @@ from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSE, Task
 from jaxik.motions.path import TipMotion
 from jaxik.optimise.linear import damped_solve
+from jaxik.options import Options, instance, number, per_joint
 from jaxik.spatial.algebra import Frame, safe_divide, traced
 from jaxik.spmd import kernel
 
@@ -50,6 +51,26 @@ def loop_gain(gain: float | None, dt: float, default: float = 1.0) -> float:
 def settles(gain: float | None, dt: float) -> bool:
     """Whether the loop takes back, in each sample, more than nothing and less than twice what was lost."""
     return 0.0 <= loop_gain(gain, dt) * dt < 2.0
+
+
+class LoopOptions(Options):
+    """The options of all that hold the tip on its path, sample by sample of `dt` [s]."""
+
+    task: Task = instance(default=POSE, kind=Task, words="the components of the tip's pose that are held")
+    gain: float | None = number(
+        default=None,
+        optional=True,
+        unit="1/s",
+        words="of the closed loop; None: 1 / dt, which takes a sample's error back in the next",
+    )
+    weights: tuple[float, ...] | None = per_joint(words="of the joints in the norm of their rates, 1 each if None", lone=False)
+    floor: float = number(default=FLOOR, least=0.0, words="squared sine between rows of the task, below which damping acts")
+
+    def check(self) -> None:
+        """Raises `ValueError` for a loop that does not settle."""
+        dt = self.dt  # type: ignore[attr-defined]  # each subclass has its own
+        if not settles(self.gain, dt):
+            raise ValueError(f"{self.who}: dt {dt}, gain {self.gain}; allowed: 0 <= gain dt < 2")
 
 
 class Box(NamedTuple):

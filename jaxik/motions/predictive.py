@@ -8,7 +8,8 @@ so that whatever u is the path is followed, and optimal control needs no constra
 
     min over the input of   int l(q, qdot, input, t) dt                                         (5.10)
 
-The text's cost is `quadratic_cost`: `l = H(q) + zeta_qdot/2 qdot'qdot + zeta_u/2 u'u` (5.11)-(5.14); any pure function will do.
+The text's cost is `costs.quadratic_cost`: `l = H(q) + zeta_qdot/2 qdot'qdot + zeta_u/2 u'u` (5.11)-(5.14); any pure function
+will do.
 
 The start is given (5.5), or free (5.4): then any configuration with the tip at the path's start may be taken. The text's
 transversality condition, N lambda(0) = 0, is that the cost does not change as the start moves on that manifold; so it is
@@ -17,7 +18,6 @@ solved for by one more input, a null-space motion from the given start before th
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Sequence
@@ -28,118 +28,54 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import Array, as_numbers, is_known, positive, shaped
-from jaxik.checks.options import as_count, batch_axes, changed, check_choices, check_each, check_finite, check_kind, check_seed
-from jaxik.dynamics.recursions import GRAVITY, energy, gravity_torque
+from jaxik.checks.arrays import Array, as_numbers, check_known, shaped
+from jaxik.checks.options import as_count, check_finite, check_seed
+from jaxik.costs import RunningCost
 from jaxik.kinematics.robot import Robot
-from jaxik.kinematics.task import POSE, Task
-from jaxik.motions.diagnosis import Course, diagnose
-from jaxik.motions.nullspace import FLOOR, Resolved, loop_gain, resolved, settles
-from jaxik.motions.path import Path, TipMotion, check_path
+from jaxik.motions.diagnosis import Course, MotionResult, diagnose
+from jaxik.motions.following import Axes, Progress, by_scenarios, scenario_axes
+from jaxik.motions.nullspace import LoopOptions, Resolved, loop_gain, resolved
+from jaxik.motions.path import Path, TipMotion
 from jaxik.optimise import descent, ocp
-from jaxik.reasons import Reasoned
+from jaxik.optimise.descent import DescentOptions
+from jaxik.options import choice, count, flag, instance, number
 from jaxik.spmd import kernel
-from jaxik.spmd.batch import in_blocks
 
-LANES = 128  # scenarios a call where there are more: another number compiles nothing
-DESCEND = descent.Descent()
 Level = Literal["velocity", "acceleration"]
-Start = Literal["given", "free"]
 Each = Literal["path", "duration", "guess", "given"]  # as the compiled program takes them
-Axes = tuple[int | None, ...]
-RunningCost = Callable[..., Any]  # (q, qdot, input, t), and what is given, if anything is: cost per second
 
 
-def quadratic_cost(position: Callable[..., Any] | None = None, velocity: float = 2.0, effort: float = 2.0) -> RunningCost:
-    """`l = H(q) + velocity/2 qdot'qdot + effort/2 w'w`. Traced. Source: Schuetz 2017, (5.11)-(5.14).
+class PredictOptions(LoopOptions, who="predict"):
+    """How far and how well the future is looked at."""
 
-    `position` is H, of q and, if something is given to the cost (a scene, weights), of that.
-    """
+    dt: float = number(default=0.01, above=0.0, unit="s", words="sample time")
+    count: int = count(default=200, words="samples of the horizon")
+    level: str = choice(default="acceleration", kinds=Level, words="on which the input acts; its rate, or it, moves the joints")
+    integrator: str = choice(default="euler", kinds=ocp.Integrator, words="of rates")
+    free_start: bool = flag(default=False, words="whether any configuration with the tip at the path's start may be taken")
+    descend: DescentOptions = instance(default=DescentOptions(), kind=DescentOptions, words="how the cost is made smaller")
+    tolerance: float = number(
+        default=0.05, least=0.0, unit="m, rad", words="error of the tip in a component at which the motion fails"
+    )
 
-    def running(q: Any, qdot: Any, w: Any, t: Any, *given: Any) -> Any:
-        level = 0.0 if position is None else position(q, *given)
-        return level + 0.5 * velocity * jnp.sum(qdot**2) + 0.5 * effort * jnp.sum(w**2)
-
-    return running
-
-
-def energy_cost(
-    robot: Robot,
-    position: Callable[..., Any] | None = None,
-    kinetic: float = 1.0,
-    holding: float = 0.0,
-    torque: Any = 1.0,
-    effort: float = 2.0,
-    gravity: Any = GRAVITY,
-) -> RunningCost:
-    """`l = H(q) + kinetic T(q, qdot) + holding/2 sum (g_i(q) / torque_i)^2 + effort/2 w'w`. Traced.
-
-    That is the energy in the moving masses [J], and the heat in windings that hold them, which grows with the square of torque;
-    torques that accelerate are not in it. `torque` (n,) or one number [Nm, N] is what counts as one; `position` and `effort`
-    are those of `quadratic_cost`. Raises `ValueError` for a robot without bodies, when it is called.
-    """
-
-    def running(q: Any, qdot: Any, w: Any, t: Any, *given: Any) -> Any:
-        held = jnp.sum((gravity_torque(robot, q, gravity=gravity) / jnp.asarray(torque, q.dtype)) ** 2) if holding else 0.0
-        level = kinetic * energy(robot, q, qdot).kinetic + 0.5 * holding * held + 0.5 * effort * jnp.sum(w**2)
-        return level if position is None else level + position(q, *given)
-
-    return running
-
-
-@dataclasses.dataclass(frozen=True)
-class Horizon:
-    """How the future is looked at: `count` samples of `dt` [s]; on which `level` the input acts; the `integrator`; the task and
-    the `gain` [1/s] that holds the tip on its path, by default 1/dt, which takes a sample's error back in the next; the joints'
-    `weights`; whether the `start` is free; how to `descend`; what error of the tip [m, rad] is too much."""
-
-    dt: float = 0.01
-    count: int = 200
-    level: str = "acceleration"
-    integrator: str = "euler"
-    task: Task = POSE
-    gain: float | None = None
-    weights: tuple[float, ...] | None = None
-    floor: float = FLOOR
-    start: str = "given"
-    descend: descent.Descent = DESCEND
-    tolerance: float = 0.05
-
-    def __post_init__(self) -> None:
-        choices = {"level": (self.level, Level), "integrator": (self.integrator, ocp.Integrator), "start": (self.start, Start)}
-        check_choices("horizon", **choices)
-        check_kind("horizon", "task", self.task, Task)
-        check_finite("horizon", dt=self.dt, gain=0.0 if self.gain is None else self.gain)
-        check_finite("horizon", 0.0, floor=self.floor, tolerance=self.tolerance)
-        check_kind("horizon", "descend", self.descend, descent.Descent)
-        object.__setattr__(self, "count", as_count("horizon: count", self.count))
-        object.__setattr__(self, "weights", positive("horizon: weights", self.weights))  # hashable: a program is made for them
-        if not (self.dt > 0.0 and settles(self.gain, self.dt)):
-            raise ValueError(f"horizon: dt {self.dt}, gain {self.gain}; allowed: dt > 0, 0 <= gain dt < 2")
-
-    def resolve(self, robot: Robot, q: Any, asked: TipMotion, u: Any, gain: float | None = None) -> Resolved:
-        """`resolve` with these options; with another `gain` if one is given."""
+    def resolved(self, robot: Robot, q: Any, asked: TipMotion, u: Any, gain: float | None = None) -> Resolved:
+        """The rates of `resolve` with these options; with another `gain` if one is given."""
         gain = loop_gain(self.gain, self.dt) if gain is None else gain
         return resolved(robot, self.task, self.floor, q, asked, u, gain, self.weights)
 
 
-class Future(NamedTuple):
-    """What is known of the path at each sample: what is asked at the stages of its step, and the time [s]."""
+class PredictResult(MotionResult):
+    """The best motion found, or that of each of b scenarios.
 
-    asked: TipMotion
-    time: Any
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Prediction(Reasoned):
-    """The best motion found: q (N+1, n), qdot and input w (N, n), each sample's cost (N,) per second; the tip's error (N, m),
-    the damping that singularities needed (N,), the `Reason` and the sample where it happened (`diagnose`); and the record of
-    the descent: how many iterations, the total (the cost's integral) before and after each, alpha and beta of each, then
-    NaN."""
+    q (N+1, n) [rad, m], velocity (N, n) [per s] and input w (N, n); costs (N,): each sample's cost per second.
+    error (N, m) [m, rad], damping (N,): the tip's error and the damping that a singularity needed, 0 where none.
+    reason, sample: why it failed, and the sample where it happened, N if it is solved.
+    iterations, and totals, alphas, betas: the descent's record: the cost's integral before and after each, its alpha and beta,
+    then NaN.
+    """
 
     q: Float[Array, "*b k1 n"]
-    qdot: Float[Array, "*b k n"]
+    velocity: Float[Array, "*b k n"]
     w: Float[Array, "*b k n"]
     costs: Float[Array, "*b k"]
     error: Float[Array, "*b k m"]
@@ -157,33 +93,39 @@ class Prediction(Reasoned):
         return jnp.nanmin(self.totals, axis=-1)
 
 
-def future(path: Path, duration: Any, horizon: Horizon, start: Any = 0.0) -> Future:
+class Future(NamedTuple):
+    """The path as known at each sample: the tip's motion at the stages of its step, and the time [s]."""
+
+    asked: TipMotion
+    time: Any
+
+
+def future(path: Path, duration: Any, how: PredictOptions, start: Any = 0.0) -> Future:
     """The samples of a horizon that begins at `start` [s] of a path; beyond the path's end the tip stands still."""
-    time = start + horizon.dt * jnp.arange(horizon.count)
-    stages = jnp.array([0.0] if horizon.integrator == "euler" else [0.0, 0.5, 1.0])
-    times = (time[:, None] + horizon.dt * stages).reshape(-1)
+    time = start + how.dt * jnp.arange(how.count)
+    stages = jnp.array([0.0] if how.integrator == "euler" else [0.0, 0.5, 1.0])
+    times = (time[:, None] + how.dt * stages).reshape(-1)
     each = kernel(lambda path, duration, times: jax.lax.map(lambda t: path.at(t, duration), times))
     asked = each(path, jnp.asarray(duration, times.dtype), times)
-    return Future(TipMotion(*(x.reshape(horizon.count, len(stages), *x.shape[1:]) for x in asked)), time)
+    return Future(TipMotion(*(x.reshape(how.count, len(stages), *x.shape[1:]) for x in asked)), time)
 
 
-def problem(robot: Robot, cost: RunningCost, horizon: Horizon, *given: Any, many: bool = False) -> ocp.Problem:
-    """The optimal control problem, of one or `many` scenarios; its samples are a `Future`, and what it sees of each is the
-    `Resolved`."""
+def problem(robot: Robot, cost: RunningCost, how: PredictOptions, *given: Any, many: bool = False) -> ocp.Problem:
+    """The optimal control problem, of one or `many` scenarios; its samples are a `Future`, each seen as a `Resolved`."""
 
     def field(q: Any, u: Any, asked: TipMotion) -> tuple[Any, Resolved]:
-        found = horizon.resolve(robot, q, asked, u)
+        found = how.resolved(robot, q, asked, u)
         return found.rate, found
 
-    move = ocp.driven(ocp.integrator(horizon.integrator, field, horizon.dt), horizon.dt)
+    move = ocp.driven(ocp.integrator(how.integrator, field, how.dt), how.dt)
     step, per_second = lambda y, w, p: move(y, w, p.asked), lambda y, v, w, p: cost(y[0], v, w, p.time, *given)
-    return ocp.Problem(step, per_second, horizon.dt, many)
+    return ocp.Problem(step, per_second, how.dt, many)
 
 
 def objective(
     robot: Robot,
     cost: RunningCost,
-    horizon: Horizon,
+    how: PredictOptions,
     q: Any,
     ahead: Future,
     given: tuple[Any, ...] = (),
@@ -195,10 +137,10 @@ def objective(
     A free start is one more row before the others: the motion before the clock runs, over sqrt(dt), which makes it of one
     measure with them.
     """
-    control = problem(robot, cost, horizon, *given, many=many)
-    root, free = horizon.dt**0.5, horizon.start == "free"
-    begin, inputs = lambda first: self_motion(robot, q, root * first, ahead, horizon), lambda z: z[1:] if free else z
-    rest = () if horizon.level == "velocity" else (jnp.zeros_like(q) if u is None else u,)
+    control = problem(robot, cost, how, *given, many=many)
+    root, free = how.dt**0.5, how.free_start
+    begin, inputs = lambda first: self_motion(robot, q, root * first, ahead, how), lambda z: z[1:] if free else z
+    rest = () if how.level == "velocity" else (jnp.zeros_like(q) if u is None else u,)
 
     def value(z: Any) -> Any:
         run = ocp.roll_out(control, (begin(z[0]) if free else q, *rest), inputs(z), ahead)
@@ -209,7 +151,7 @@ def objective(
         if not free:
             return g
         _, pull = jax.vjp(begin, z[0])
-        return jnp.concatenate([pull(adjoint[0][0])[0][None] / horizon.dt, g])
+        return jnp.concatenate([pull(adjoint[0][0])[0][None] / how.dt, g])
 
     def along(z: Any, s: Any, alphas: Any) -> Any:
         first = jax.vmap(lambda alpha: begin(z[0] + alpha * s[0]) if free else q)(alphas)
@@ -217,48 +159,33 @@ def objective(
         return ocp.totals_along(control, starts, inputs(z), inputs(s), alphas, ahead)
 
     # traced once, however often it is asked for
-    return descent.Objective(jax.jit(value), slope, lambda a, b: horizon.dt * jnp.sum(a * b), along if many else None)
+    return descent.Objective(jax.jit(value), slope, lambda a, b: how.dt * jnp.sum(a * b), along if many else None)
 
 
-def self_motion(robot: Robot, q: Any, along: Any, ahead: Future, horizon: Horizon, turns: int = 12) -> Any:
-    """Where a motion that leaves the tip at the path's start ends: of `qdot = (1 - J# J) along` after 1 s, brought back to the
-    path by Newton steps."""
+def self_motion(robot: Robot, q: Any, along: Any, ahead: Future, how: PredictOptions, turns: int = 12) -> Any:
+    """The end of a motion that leaves the tip at the path's start: `qdot = (1 - J# J) along` for 1 s, then Newton steps back to
+    the path."""
     asked = TipMotion.still(ahead.asked.pose[0, 0])
-    turn = lambda q, share: (q + horizon.resolve(robot, q, asked, share * along, 1.0).rate, None)
+    turn = lambda q, share: (q + how.resolved(robot, q, asked, share * along, 1.0).rate, None)
     shares = jnp.concatenate([jnp.full(turns, 1.0 / turns), jnp.zeros(4)]).astype(q.dtype)
     return kernel(lambda q, shares: jax.lax.scan(turn, q, shares)[0])(q, shares)
 
 
 @functools.lru_cache(maxsize=32)
-def _program(robot: Robot, cost: RunningCost, horizon: Horizon, axes: Axes | None) -> Callable[..., Prediction]:
-    def solve(q: Any, path: Path, duration: Any, w: Any, given: tuple[Any, ...]) -> Prediction:
-        ahead = future(path, duration, horizon)
+def _program(robot: Robot, cost: RunningCost, how: PredictOptions, axes: Axes | None) -> Callable[..., PredictResult]:
+    def solve(q: Any, path: Path, duration: Any, w: Any, given: tuple[Any, ...]) -> PredictResult:
+        ahead = future(path, duration, how)
         many = axes is not None and jax.default_backend() == "cpu"
-        goal = objective(robot, cost, horizon, q, ahead, given, many=many)
-        found = descent.run(goal, w, horizon.descend)
-        w = found.w[1:] if horizon.start == "free" else found.w
+        goal = objective(robot, cost, how, q, ahead, given, many=many)
+        found = descent.run(goal, w, how.descend)
+        w = found.w[1:] if how.free_start else found.w
         run, record = found.aux, (found.iterations, found.costs, found.alphas, found.betas)
         (q, *_), seen, asked = run.y, run.seen, ahead.asked
         course = Course(q[:-1], run.v, seen.error, seen.damping, asked.pose[:, 0], costs=run.costs)
-        judged = diagnose(robot, horizon.task, course, horizon.tolerance, keep=True)
-        return Prediction(q, run.v, w, run.costs, seen.error, seen.damping, *judged, *record)
+        judged = diagnose(robot, how.task, course, how.tolerance, keep=True)
+        return PredictResult(q, run.v, w, run.costs, seen.error, seen.damping, *judged, *record)
 
     return jax.jit(solve if axes is None else jax.vmap(solve, in_axes=axes))
-
-
-def outlook(who: str, cost: RunningCost, horizon: Horizon | None, /, given: Any = None, **changes: Any) -> tuple[Horizon, Any]:
-    """The options that `predict` and `multistart` share: the horizon with its `changes`, and what is `given`
-    to the cost, if anything is. Raises a `ValueError` of one line for a cost that does not take that."""
-    more = () if given is None else (given,)
-    try:
-        inspect.signature(cost).bind(*[None] * 4, *more)
-    except TypeError:
-        takes = "(q, qdot, input, t, given)" if more else "(q, qdot, input, t)"
-        mend = "of q alone it is jaxik.motions.quadratic_cost(position=...)"
-        raise ValueError(f"{who}: the cost is a function of {takes}; {mend}") from None
-    except ValueError:
-        pass  # of what has no signature nothing is known
-    return changed(who, horizon or Horizon(), changes), more
 
 
 def predict(
@@ -267,85 +194,95 @@ def predict(
     duration: Any,
     q: Any,
     cost: RunningCost,
-    horizon: Horizon | None = None,
+    *,
+    options: PredictOptions | None = None,
+    starts: int = 1,
+    spread: float = 2.0,
+    seed: int = 0,
     guess: Any = None,
     given: Any = None,
     each: Sequence[str] = (),
+    progress: Progress | None = None,
     **changes: Any,
-) -> Prediction:
-    """The null-space motion from q (n,) along `path`, timed over `duration` [s], within the horizon. Traced.
+) -> PredictResult:
+    """Finds the null-space motion from q (n,) along `path`, timed over `duration` [s], that costs least within the how.
+    Traced.
 
     It is judged as far as the horizon goes, `count` samples, which may end before the path does.
 
     `guess` (count, n) is the first input, 0 unless given. `given`, any pytree, is handed to the cost as its last argument: what
     may change from call to call without compiling again. With q (b, n) it is b scenarios in one call, every field of the result
     with a leading axis b, and each is what it is alone; `each` names what else has one entry a scenario ("path", "duration",
-    "guess", "given"). `changes` are fields of `Horizon` by name.
+    "guess", "given"). `changes` are fields of `PredictOptions` by name; `progress(done, total)` counts scenarios.
 
-    Raises `ValueError` for a q, guess or weights of another shape, what is no path, a duration that is not positive, or another
-    name in `each`.
+    With more than one of `starts`, which is no longer traced, one scenario begins with so many inputs, the guess and smooth
+    random ones of a `seed`, and has so many results: what is solved first, and among them, and among the rest, the best first.
+    A random input is a sum of the first five cosines of the horizon, of random amplitudes [`spread` rad/s2 or rad/s] that fall
+    with their frequency, so that it moves the arm and does not shake it.
+
+    Raises `ValueError` for a q, guess or weights of another shape, an object that is no path, a duration that is not positive,
+    and other names in `each`.
     """
-    horizon, more = outlook("predict", cost, horizon, given, **changes)
-    q = as_numbers("predict: q", q).astype(jnp.result_type(float))
-    n, free = robot.num_joints, horizon.start == "free"
-    shape = (horizon.count + free, n)
-    check_each("predict", each, Each)
-    check_path("predict", path, duration, q.shape[:1] if "duration" in each else ())
-    w: Any = np.zeros(shape, q.dtype) if guess is None else as_numbers("predict: guess", guess).astype(q.dtype)
-    if free and w.shape[-2:] == (horizon.count, n):
-        w = jnp.concatenate([jnp.zeros_like(w[..., :1, :]), w], axis=-2)
-    wanted = (*q.shape[:1], *shape) if "guess" in each else shape
-    if q.shape[-1:] != (n,) or q.ndim not in (1, 2) or w.shape != wanted or (each and q.ndim == 1):
-        also = "or a leading axis of q, and of what `each` names"
-        raise ValueError(f"predict: q {np.shape(q)} and guess {w.shape}; {robot.name} takes ({n},) and {shape}, {also}")
-    axes = (0, *batch_axes(each, Each)) if q.ndim == 2 else None
-    program, args = _program(robot, cost, horizon, axes), (q, path, duration, w, more)
-    return program(*args) if axes is None else _in_blocks(program, axes, args)
+    how, more = PredictOptions.chosen(options, changes), _handed(cost, given)
+    starts = as_count("predict: starts", starts)
+    check_finite("predict", 0.0, spread=spread)
+    check_seed("predict", seed)
+    if starts == 1:
+        return _predicted(robot, path, duration, q, cost, how, guess, more, each, progress)
+    check_known("predict: starts", q=q, path=path, duration=duration, guess=guess, given=given)
+    if each:
+        raise ValueError("predict: starts are those of one scenario; leave `each` out, or call it for each scenario")
+    q = shaped("predict: q", q, (n := robot.num_joints,))
+    inputs = _random_inputs((starts, how.count, n), spread, seed)
+    inputs[0] = 0.0 if guess is None else shaped("predict: guess", guess, (how.count, n))
+    found = _predicted(robot, path, duration, np.tile(q, (starts, 1)), cost, how, inputs, more, ("guess",), progress)
+    best = np.lexsort((np.nan_to_num(np.asarray(found.total), nan=np.inf), ~np.asarray(found.success)))
+    return jax.tree_util.tree_map(lambda x: np.asarray(x)[best], found)
 
 
-def _in_blocks(program: Callable[..., Prediction], axes: Axes, args: tuple[Any, ...]) -> Prediction:
-    """Many scenarios go block by block, on a CPU."""
-    rows, tree = jax.tree_util.tree_flatten(tuple(a for a, axis in zip(args, axes, strict=True) if axis == 0))
-    if not is_known(args) or len(rows[0]) <= LANES or jax.default_backend() != "cpu":
-        return program(*args)
+def _handed(cost: RunningCost, given: Any) -> tuple[Any, ...]:
+    """The last arguments of the cost, one or none. Raises a `ValueError` of one line for a cost that does not take them."""
+    more = () if given is None else (given,)
+    try:
+        inspect.signature(cost).bind(*[None] * 4, *more)
+    except TypeError:
+        takes = "(q, qdot, input, t, given)" if more else "(q, qdot, input, t)"
+        mend = "of q alone it is jaxik.costs.quadratic_cost(position=...)"
+        raise ValueError(f"predict: the cost is a function of {takes}; {mend}") from None
+    except ValueError:
+        pass  # a function without a signature: it may take them
+    return more
 
-    def block(*rows: Any) -> Prediction:
-        own = iter(jax.tree_util.tree_unflatten(tree, rows))
-        return program(*(next(own) if axis == 0 else a for a, axis in zip(args, axes, strict=True)))
 
-    return Prediction(*in_blocks(block, *map(np.asarray, rows), size=LANES))
+def _random_inputs(shape: tuple[int, ...], spread: float, seed: int) -> np.ndarray:
+    """Smooth inputs (starts, count, n)."""
+    starts, samples, n = shape
+    order = np.arange(5)
+    waves = np.cos(np.pi * order[:, None] * (np.arange(samples) + 0.5) / samples)
+    heights = spread * np.random.default_rng(seed).normal(size=(starts, 5, n)) / (1.0 + order)[:, None]
+    return np.einsum("skn,kt->stn", heights, waves)
 
 
-def multistart(
+def _predicted(
     robot: Robot,
     path: Path,
     duration: Any,
     q: Any,
     cost: RunningCost,
-    horizon: Horizon | None = None,
-    starts: int = 1000,
-    spread: float = 2.0,
-    seed: int = 0,
-    **options: Any,
-) -> Prediction:
-    """`predict` from `starts` first inputs, 0 and smooth random ones, for the global picture: what is solved first, and of
-    that, and of the rest, the best first. Host driver.
-
-    A random input is a sum of the first five cosines of the horizon, of random amplitudes [`spread` rad/s2 or rad/s] that fall
-    with their frequency, so that it moves the arm and does not shake it. Raises `ValueError` as `predict` does, and for a
-    number of starts, a spread or a seed that is none. `options` are what is `given` to the cost, and fields of `Horizon`, by
-    name, as `predict` takes them.
-    """
-    horizon, given = outlook("multistart", cost, horizon, **options)
-    count, n = horizon.count, robot.num_joints
-    q, starts = shaped("multistart: q", q, (n,)), as_count("multistart: starts", starts)
-    check_finite("multistart", 0.0, spread=spread)
-    check_seed("multistart", seed)
-    rng = np.random.default_rng(seed)
-    order = np.arange(5)
-    waves = np.cos(np.pi * order[:, None] * (np.arange(count) + 0.5) / count)
-    inputs = np.einsum("skn,kt->stn", spread * rng.normal(size=(starts, 5, n)) / (1.0 + order)[:, None], waves)
-    inputs[0] = 0.0
-    found = predict(robot, path, duration, np.tile(q, (starts, 1)), cost, horizon, inputs, *given, each=("guess",))
-    best = np.lexsort((np.nan_to_num(np.asarray(found.total), nan=np.inf), ~np.asarray(found.success)))
-    return jax.tree_util.tree_map(lambda x: np.asarray(x)[best], found)
+    how: PredictOptions,
+    guess: Any,
+    given: tuple[Any, ...],
+    each: Sequence[str],
+    progress: Progress | None,
+) -> PredictResult:
+    """Predicts from one input a scenario."""
+    q = as_numbers("predict: q", q).astype(jnp.result_type(float))
+    axes = scenario_axes("predict", robot, path, duration, q, each, Each)
+    shape = (how.count + how.free_start, robot.num_joints)
+    w: Any = np.zeros(shape, q.dtype) if guess is None else as_numbers("predict: guess", guess).astype(q.dtype)
+    if how.free_start and w.shape[-2:] == (how.count, robot.num_joints):
+        w = jnp.concatenate([jnp.zeros_like(w[..., :1, :]), w], axis=-2)
+    wanted = (*q.shape[:1], *shape) if "guess" in each else shape
+    if w.shape != wanted:
+        raise ValueError(f"predict: guess has the shape {w.shape}; allowed: {wanted}")
+    return by_scenarios(_program(robot, cost, how, axes), axes, (q, path, duration, w, given), progress)

@@ -1,5 +1,5 @@
 """Solvers that know no robot: sequential quadratic programming, descent in a space of functions."""
 
-from jaxik.optimise.descent import QUASI_NEWTON, Descent
+from jaxik.optimise.descent import QUASI_NEWTON, DescentOptions
 
-__all__ = ["QUASI_NEWTON", "Descent"]
+__all__ = ["QUASI_NEWTON", "DescentOptions"]

@@ -23,13 +23,12 @@ search      alpha_j
 
 A direction that does not descend is replaced by -g; and beta is 0 where the gradient is far from orthogonal to the last one,
 `|<g_j, g_{j-1}>| > restart <g_j, g_j>` [Powell 1977], as where the problem has changed in between (the text has no restarts:
-`restart=inf`). The driver stops as the text does: after `iterations`, where the cost falls by less than `tolerance` of itself,
+`restart=None`). The driver stops as the text does: after `iterations`, where the cost falls by less than `tolerance` of itself,
 or where it rises, and then what was before is kept.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
@@ -40,7 +39,8 @@ from jax import lax
 from jaxtyping import Float, Int
 
 from jaxik.checks.arrays import numbers
-from jaxik.checks.options import as_count, check_choices, check_finite, shown
+from jaxik.checks.options import shown
+from jaxik.options import Options, anything, choice, count, number
 from jaxik.spatial.algebra import safe_divide
 from jaxik.spmd import kernel
 
@@ -58,32 +58,27 @@ class Objective(NamedTuple):
     along: Callable[[Any, Any, Any], Any] | None = None
 
 
-@dataclasses.dataclass(frozen=True)
-class Descent:
-    """How to descend. `step` is the fixed step, the first of a backtracking, and the first secant's; `interval` is the
-    polynomial's first; `armijo`, `rho` and `trials` are those of alg. 4."""
+class DescentOptions(Options, who="descent"):
+    """How to descend, by the algorithms 2 to 5 of Schuetz 2017."""
 
-    direction: str = "hager_zhang"
-    search: str = "polynomial"
-    iterations: int = 100
-    tolerance: float = 1e-4
-    step: float = 0.05
-    interval: tuple[float, float] = (0.005, 0.1)
-    armijo: float = 1e-4
-    rho: float = 0.62
-    trials: int = 10
-    memory: int = 10
-    restart: float = 0.2
+    direction: str = choice(default="hager_zhang", kinds=Direction, words="from the gradient and the direction before")
+    search: str = choice(default="polynomial", kinds=Search, words="for the step along it")
+    iterations: int = count(default=100, words="at most")
+    tolerance: float = number(default=1e-4, least=0.0, words="share of the cost; it ends where the cost falls by less")
+    step: float = number(default=0.05, above=0.0, words="the fixed step, or the first of a backtracking or a secant search")
+    interval: tuple[float, float] = anything(default=(0.005, 0.1), words="the first steps of a polynomial search")
+    armijo: float = number(default=1e-4, least=0.0, words="share of the slope by which a backtracked step must descend")
+    rho: float = number(default=0.62, above=0.0, words="factor of a backtracking search, below 1")
+    trials: int = count(default=10, words="of a backtracking search")
+    memory: int = count(default=10, words="steps that lbfgs remembers")
+    restart: float | None = number(
+        default=0.2, least=0.0, optional=True, words="share of the gradient that may point along the last one; None: any"
+    )
 
-    def __post_init__(self) -> None:
-        check_choices("descent", direction=(self.direction, Direction), search=(self.search, Search))
-        for name in ("iterations", "trials", "memory"):
-            object.__setattr__(self, name, as_count(f"descent: {name}", getattr(self, name)))
-        check_finite("descent", 0.0, tolerance=self.tolerance, step=self.step, armijo=self.armijo, rho=self.rho)
-        if self.restart != float("inf"):  # never
-            check_finite("descent", 0.0, restart=self.restart)
-        if not (self.step > 0.0 and 0.0 < self.rho < 1.0):
-            raise ValueError(f"descent: step {self.step}, rho {self.rho}; allowed: step > 0, 0 < rho < 1")
+    def check(self) -> None:
+        """Raises `ValueError` for a factor that does not shorten, and for no interval."""
+        if self.rho >= 1.0:
+            raise ValueError(f"descent: rho {self.rho}; allowed: 0 < rho < 1")
         interval = numbers("descent: interval", self.interval)
         if interval.shape != (2,) or not 0.0 < interval[0] < interval[1] < float("inf"):
             raise ValueError(f"descent: interval {shown(self.interval)}; allowed: 0 < first < last")
@@ -91,7 +86,9 @@ class Descent:
 
 
 _SHARES = 1e-6, 1e3  # of the first interval: how far a polynomial's may shrink and grow
-QUASI_NEWTON = Descent("lbfgs", "backtracking", iterations=500, tolerance=1e-8, step=1.0, rho=0.5, trials=20)
+QUASI_NEWTON = DescentOptions(
+    direction="lbfgs", search="backtracking", iterations=500, tolerance=1e-8, step=1.0, rho=0.5, trials=20
+)
 
 
 class State(NamedTuple):
@@ -124,8 +121,8 @@ class Descended(NamedTuple):
     betas: Float[jax.Array, "*b j"]
 
 
-def init(objective: Objective, w: Any, options: Descent, measured: bool = True) -> State:
-    """At the first guess; one that is not `measured` is evaluated by a `glance`."""
+def init(objective: Objective, w: Any, options: DescentOptions, measured: bool = True) -> State:
+    """The state at the first guess; one that is not `measured` is evaluated by a `glance`."""
     blank = lambda x: jnp.zeros(x.shape, x.dtype)
     cost, aux = objective.value(w) if measured else jax.tree_util.tree_map(blank, jax.eval_shape(objective.value, w))
     none, zero = jnp.zeros_like(w), jnp.zeros((), w.dtype)
@@ -134,11 +131,11 @@ def init(objective: Objective, w: Any, options: Descent, measured: bool = True) 
     return State(w, cost, aux, none, none, memory, interval, jnp.zeros((), int), zero, zero, jnp.zeros((), bool))
 
 
-def advance(objective: Objective, state: State, options: Descent, glance: bool = False) -> State:
+def advance(objective: Objective, state: State, options: DescentOptions, glance: bool = False) -> State:
     """One iteration; where the cost rises by more than its rounding, w stays.
 
-    A `glance` evaluates the objective where it begins and not where it ends: the cost is then what the line search expects, and
-    `aux` that of the beginning. For where the objective is another one each time.
+    A `glance` evaluates the objective where it begins and not where it ends: the cost is then the line search's expectation,
+    and `aux` the beginning's. It is meant for objectives that are others each time.
     """
     if glance:
         cost, aux = objective.value(state.w)
@@ -167,8 +164,8 @@ def _narrowed(first: tuple[float, float], better: Any, interval: Any, before: An
     return interval, interval[1] <= least[1]
 
 
-def run(objective: Objective, w: Any, options: Descent) -> Descended:
-    """From the first guess until it stops. Traced: jit and vmap it."""
+def run(objective: Objective, w: Any, options: DescentOptions) -> Descended:
+    """Descends from the first guess until it stops. Traced: jit and vmap it."""
     start = init(objective, w, options)
     blank = jnp.full(options.iterations, jnp.nan, w.dtype)
     history = jnp.concatenate([jnp.asarray(start.cost, w.dtype)[None], blank]), blank, blank
@@ -185,7 +182,7 @@ def run(objective: Objective, w: Any, options: Descent) -> Descended:
 
 
 def _beta(kind: str, square: Any, across: Any, before: Any, along: Any, along_before: Any) -> Any:
-    """Of inner products, so that no difference of gradients is formed: <g_j, g_j>, <g_j, g_{j-1}>, <g_{j-1}, g_{j-1}>,
+    """Beta by inner products, so that no difference of gradients is formed: <g_j, g_j>, <g_j, g_{j-1}>, <g_{j-1}, g_{j-1}>,
     <s, g_j>, <s, g_{j-1}>."""
     if kind == "steepest":
         return 0.0
@@ -200,13 +197,13 @@ def _beta(kind: str, square: Any, across: Any, before: Any, along: Any, along_be
     return safe_divide(change - 2.0 * along * safe_divide(changes, curvature), curvature)
 
 
-def _quasi_newton(options: Descent) -> Any:
+def _quasi_newton(options: DescentOptions) -> Any:
     import optax  # late: not everyone needs it
 
     return optax.scale_by_lbfgs(options.memory)
 
 
-def _heading(objective: Objective, state: State, options: Descent) -> tuple[Any, Any, Any, Any, Any]:
+def _heading(objective: Objective, state: State, options: DescentOptions) -> tuple[Any, Any, Any, Any, Any]:
     """The gradient, the direction and its slope, beta, and what the quasi-Newton method remembers."""
     inner, before, s = objective.inner, state.gradient, state.direction
     g = objective.gradient(state.w, state.aux)
@@ -222,17 +219,21 @@ def _heading(objective: Objective, state: State, options: Descent) -> tuple[Any,
 
 
 def _conjugate(
-    kind: str, restart: float, square: Any, across: Any, before: Any, along: Any, along_before: Any, iterations: Any
+    kind: str, restart: float | None, square: Any, across: Any, before: Any, along: Any, along_before: Any, iterations: Any
 ) -> tuple[Any, Any]:
     """Beta, 0 where there is no direction before or where it would not descend, and the slope."""
     beta = _beta(kind, square, across, before, along, along_before)
-    again = jnp.abs(across) > restart * square
-    beta = jnp.where((iterations == 0) | again, 0.0, jnp.asarray(beta, square.dtype))
+    anew = iterations == 0
+    if restart is not None:
+        anew |= jnp.abs(across) > restart * square
+    beta = jnp.where(anew, 0.0, jnp.asarray(beta, square.dtype))
     beta = jnp.where(beta * along < square, beta, 0.0)
     return beta, beta * along - square
 
 
-def _search(objective: Objective, state: State, g: Any, s: Any, slope: Any, options: Descent) -> tuple[Any, Any, Any, Any]:
+def _search(
+    objective: Objective, state: State, g: Any, s: Any, slope: Any, options: DescentOptions
+) -> tuple[Any, Any, Any, Any]:
     """The step along s, the next interval, the cost to expect, and what the objective is there if that was asked."""
     at = lambda alpha: objective.value(state.w + alpha * s)
     alpha, interval = jnp.asarray(options.step, g.dtype), state.interval
@@ -254,12 +255,12 @@ def _search(objective: Objective, state: State, g: Any, s: Any, slope: Any, opti
 
 
 def _three(interval: Any) -> Any:
-    """Both ends and the middle."""
+    """Both ends of an interval and its middle."""
     return jnp.stack([interval[0], 0.5 * (interval[0] + interval[1]), interval[1]])
 
 
 def _parabola(costs: Any, cost: Any, interval: Any, near: float = 0.1, factor: float = 2.0) -> tuple[Any, Any, Any]:
-    """Alg. 5, of the `costs` at three points and that at 0: alpha, the interval for the next time, and the cost to expect.
+    """Alpha by alg. 5, from the `costs` at three points and that at 0; the next interval, and the cost to expect.
 
     The parabola's least is taken between points that are higher; else the lower end, for what lies beyond was not seen.
     """

@@ -30,8 +30,8 @@ def test_a_motion_says_its_reason():
     in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
     still = jaxik.follow(ARM, path, 0.1, [0.3, 0.4], dt=0.05, task=in_plane)
     same = jaxik.follow(ARM, path, 0.1, [0.3, 0.4], options=jaxik.motions.FollowOptions(dt=0.05, task=in_plane))
-    assert still.reasons == Reason(int(still.reason)).text == same.reasons
-    assert isinstance(still, jaxik.motions.following.Followed) and len(jax.tree_util.tree_leaves(still)) == 7
+    assert still.why == f"{Reason(int(still.reason))}" == same.why == "solved" and still and len(still) == 1
+    assert isinstance(still, jaxik.motions.FollowResult) and len(jax.tree_util.tree_leaves(still)) == 7
 
 
 def test_options_go_by_name():
@@ -44,10 +44,8 @@ def test_options_go_by_name():
         lambda: jaxik.harvest(robot, scene, angle=4),
         lambda: jaxik.solve_ik(ARM, TARGETS, tasks=None),
         lambda: jaxik.follow(ARM, jaxik.motions.Line(TARGETS[0], TARGETS[0]), 1.0, [0.0, 0.0], speed=1.0),
-        *(
-            lambda look=look: look(ARM, jaxik.motions.Line(TARGETS[0], TARGETS[0]), 1.0, [0.0, 0.0], lambda *_: 0.0, who=1)
-            for look in (jaxik.predict, jaxik.motions.multistart)
-        ),
+        lambda: jaxik.predict(ARM, jaxik.motions.Line(TARGETS[0], TARGETS[0]), 1.0, [0.0, 0.0], lambda *_: 0.0, who=1),
+        lambda: jaxik.motions.PredictiveController(ARM, lambda *_: 0.0, who=1),
     ):
         with pytest.raises(ValueError, match=r"unknown option '\w+'; .*allowed: "):
             call()

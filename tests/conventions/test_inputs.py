@@ -135,8 +135,8 @@ def test_options_that_are_numpy_s():
 XY = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 LINE = jaxik.motions.Line(np.eye(4), np.eye(4))
 MIRRORED, SCALED = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([2.0, 2.0, 2.0, 1.0])
-HORIZON = jaxik.motions.Horizon(0.1, 2, task=XY)
-COST = jaxik.motions.quadratic_cost()
+HORIZON = jaxik.motions.PredictOptions(dt=0.1, count=2, task=XY)
+COST = jaxik.costs.quadratic_cost()
 NOW = LINE.at(0.5, 1.0)
 ZEROS = np.zeros(2)
 
@@ -148,7 +148,7 @@ def refused(words, function, *given, **options):
     assert "\n" not in str(error.value) and len(str(error.value)) < 400
 
 
-@pytest.mark.parametrize("made", [jaxik.motions.FollowOptions, jaxik.motions.Horizon])
+@pytest.mark.parametrize("made", [jaxik.motions.FollowOptions, jaxik.motions.PredictOptions])
 @pytest.mark.parametrize("weights", [(1.0, -1.0), (1.0, 0.0), (1.0, np.nan), (1.0, np.inf), 2.0, (), [[1.0, 1.0]], "12"])
 def test_weights_are_above_zero(made, weights):
     refused("weights", made, weights=weights)
@@ -160,7 +160,7 @@ def test_weights_and_accelerations_are_one_a_joint():
         follow = jaxik.motions.FollowOptions(dt=0.1, task=XY, weights=weights)
         refused(r"weights .* planar2 .*; allowed: \(2,\)", jaxik.follow, ARM, LINE, 1.0, ZEROS, options=follow)
         horizon = dataclasses.replace(HORIZON, weights=weights)
-        refused(r"weights .* planar2 .*; allowed: \(2,\)", jaxik.predict, ARM, LINE, 1.0, ZEROS, COST, horizon)
+        refused(r"weights .* planar2 .*; allowed: \(2,\)", jaxik.predict, ARM, LINE, 1.0, ZEROS, COST, options=horizon)
         hasty = jaxik.motions.FollowOptions(dt=0.1, task=XY, acceleration=weights)
         refused("one for each of the 2 joints", jaxik.follow, ARM, LINE, 1.0, ZEROS, options=hasty)
     for each in ((1.0, -1.0), (1.0, np.nan), 0.0, ()):
@@ -202,8 +202,8 @@ def test_an_arc_about_no_axis():
     st.sampled_from(
         (
             jaxik.motions.FollowOptions,
-            jaxik.motions.Horizon,
-            jaxik.optimise.Descent,
+            jaxik.motions.PredictOptions,
+            jaxik.optimise.DescentOptions,
             jaxik.reach.PostureOptions,
             jaxik.harvesting.Grasp,
         )
@@ -239,7 +239,7 @@ def test_other_arrays_and_counts(value):
     calls = {
         (2,): [
             lambda: jaxik.kinematics.turns(ARM, value),
-            lambda: jaxik.motions.MovingHorizon(ARM, COST, HORIZON).start(value),
+            lambda: jaxik.motions.PredictiveController(ARM, COST, options=HORIZON).init(value),
         ],
         (2, 7): [lambda: jaxik.reach.reach_score(P6R, None, poses, value)],
         (4, 4): [lambda: jaxik.implicit_ik(ARM, value, ZEROS, task=XY)],
@@ -248,9 +248,9 @@ def test_other_arrays_and_counts(value):
         assert plain(value, *shape) or [answer(call) for call in each] == [None] * len(each)
     if not plain(value) or np.asarray(value).dtype.kind not in "iu" or value < 1:
         counts = [
-            lambda: jaxik.motions.MovingHorizon(ARM, COST, HORIZON, value),
+            lambda: jaxik.motions.PredictiveController(ARM, COST, options=HORIZON, iterations=value),
         ]
-        counts += [lambda: jaxik.motions.multistart(ARM, LINE, 1.0, ZEROS, COST, HORIZON, value)]
+        counts += [lambda: jaxik.predict(ARM, LINE, 1.0, ZEROS, COST, options=HORIZON, starts=value)]
         assert [answer(call) for call in counts] == [None] * len(counts)
     if not isinstance(value, int) or not 0 <= value <= 7:
         assert answer(P6R.part, value, 7) is None or isinstance(value, np.integer)
@@ -293,7 +293,7 @@ def test_one_line_says_what_reads_a_file():
         1.0,
         ZEROS,
         lambda q: q @ q,
-        HORIZON,
+        options=HORIZON,
     )
 
 

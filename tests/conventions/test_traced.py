@@ -76,9 +76,7 @@ LONGER = {
     "estimation.over_log",
     "touch.simulate_reaction",
     "teleoperation.simulate_teleoperation",
-    "motions.energy_cost",
     "motions.predict",
-    "motions.quadratic_cost",
     "planning.trajectory_cost",
     "spmd.kernel",
 }

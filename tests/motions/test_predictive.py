@@ -1,6 +1,7 @@
 """Paths, instantaneous and predictive redundancy resolution: against differences, Pinocchio, autodiff and the thesis."""
 
 import dataclasses
+import functools
 
 import equinox as eqx
 import jax
@@ -12,13 +13,14 @@ from robots import bare, pinocchio
 from scipy.optimize import linprog
 
 import jaxik
+from jaxik.costs import energy_cost, quadratic_cost
 from jaxik.dynamics.recursions import inverse_dynamics, mass_matrix
 from jaxik.kinematics.robot import Body
 from jaxik.motions.nullspace import Box, resolve
 from jaxik.motions.path import Arc, Curve, Line, TipMotion
-from jaxik.motions.predictive import Horizon, energy_cost, future, multistart, objective, predict, problem, quadratic_cost
+from jaxik.motions.predictive import PredictOptions, future, objective, predict, problem
 from jaxik.optimise import ocp
-from jaxik.optimise.descent import QUASI_NEWTON, Descent
+from jaxik.optimise.descent import QUASI_NEWTON, DescentOptions
 
 IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
@@ -167,8 +169,11 @@ def test_a_path_of_another_shape_is_refused(path, name, value, words):
 @pytest.mark.parametrize("duration", [0.0, -1.0, np.nan, np.inf])
 def test_a_path_takes_time(duration, pendulum, line):
     """It stood still for a negative one, without a word."""
-    horizon = Horizon(0.1, 20, task=IN_PLANE, descend=Descent(iterations=5))
-    calls = [lambda: line.at(0.5, duration), lambda: predict(pendulum, line, duration, START, quadratic_cost(), horizon)]
+    horizon = PredictOptions(dt=0.1, count=20, task=IN_PLANE, descend=DescentOptions(iterations=5))
+    calls = [
+        lambda: line.at(0.5, duration),
+        lambda: predict(pendulum, line, duration, START, quadratic_cost(), options=horizon),
+    ]
     for call in calls:
         with pytest.raises(ValueError, match=r"duration .*; allowed: a positive number of seconds"):
             call()
@@ -289,7 +294,7 @@ CASES += [("of time", i, "velocity") for i in ("euler", "runge_kutta")]
 
 @pytest.mark.parametrize(("name", "integrator", "level"), CASES)
 def test_gradient_adjoint_and_differences_agree(name, integrator, level, pendulum, line):
-    horizon = Horizon(0.08, 12, level, integrator, IN_PLANE)
+    horizon = PredictOptions(dt=0.08, count=12, level=level, integrator=integrator, task=IN_PLANE)
     cost, ahead = COSTS[name](pendulum), future(line, 4.0, horizon, start=1.6)
     q = jnp.asarray(START) + 0.3
     goal = objective(pendulum, cost, horizon, q, ahead)
@@ -310,7 +315,7 @@ def test_gradient_adjoint_and_differences_agree(name, integrator, level, pendulu
 
 def test_the_adjoint_equations_of_the_text(pendulum, line):
     """(5.37): lambda_2' = -N'(zeta f + lambda_1), integrated backwards by Euler, is what the solver's adjoint is."""
-    horizon = Horizon(0.04, 30, task=IN_PLANE)
+    horizon = PredictOptions(dt=0.04, count=30, task=IN_PLANE)
     ahead, control = future(line, 4.0, horizon), problem(pendulum, quadratic_cost(), horizon)
     w = 0.3 * jnp.asarray(np.random.default_rng(1).normal(size=(30, 4)))
     q = jnp.asarray(START)
@@ -330,8 +335,10 @@ def test_the_adjoint_equations_of_the_text(pendulum, line):
 def test_looking_ahead_beats_the_moment(direction, search, pendulum, line):
     cost = quadratic_cost(lambda q: 500.0 * near_obstacle(pendulum)(q))
     step = 0.01 if search == "fixed" else 0.05
-    horizon = Horizon(0.04, 100, task=IN_PLANE, gain=1.0, descend=Descent(direction, search, step=step))
-    found = predict(pendulum, line, 4.0, START, cost, horizon)
+    horizon = PredictOptions(
+        dt=0.04, count=100, task=IN_PLANE, gain=1.0, descend=DescentOptions(direction=direction, search=search, step=step)
+    )
+    found = predict(pendulum, line, 4.0, START, cost, options=horizon)
     totals = np.asarray(found.totals)[: int(found.iterations) + 1] / horizon.dt
     assert np.all(np.diff(totals) <= 0.0)
     assert totals[-1] < 58.0  # from 75 without an input; the next local minimum is 56.7, the moment costs 62 + 9.8
@@ -342,23 +349,23 @@ def test_motions_of_little_energy(pendulum, line):
     rod = Body(np.asarray(1.0), np.array([0.25, 0.0, 0.0]), np.diag([1e-4, 0.02, 0.02]))
     upright = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
     arm = dataclasses.replace(pendulum, bodies=(rod,) * 4).mounted(upright)
-    cost, horizon = energy_cost(arm, holding=0.5, torque=5.0, effort=0.02), Horizon(dt=0.05, count=40, task=IN_PLANE)
-    lazy = predict(arm, line, 2.0, START, cost, horizon)
-    plain = predict(arm, line, 2.0, START, quadratic_cost(effort=0.02), horizon)
+    cost, horizon = energy_cost(arm, holding=0.5, torque=5.0, effort=0.02), PredictOptions(dt=0.05, count=40, task=IN_PLANE)
+    lazy = predict(arm, line, 2.0, START, cost, options=horizon)
+    plain = predict(arm, line, 2.0, START, quadratic_cost(effort=0.02), options=horizon)
 
     def spent(found):
         moved = found.q[:-1]
-        kinetic = [0.5 * v @ mass_matrix(arm, q) @ v for q, v in zip(moved, found.qdot, strict=True)]
+        kinetic = [0.5 * v @ mass_matrix(arm, q) @ v for q, v in zip(moved, found.velocity, strict=True)]
         held = [jnp.sum((inverse_dynamics(arm, q, 0 * q, 0 * q) / 5.0) ** 2) for q in moved]
         return np.array(kinetic) + 0.25 * np.array(held) + 0.01 * jnp.sum(found.w**2, axis=1)
 
     np.testing.assert_allclose(lazy.costs, spent(lazy), rtol=1e-9)
-    assert lazy.reasons == "solved" and lazy.total < 0.98 * 0.05 * np.sum(spent(plain))
+    assert lazy.why == "solved" and lazy and lazy.total < 0.98 * 0.05 * np.sum(spent(plain))
 
 
 def test_whatever_the_input_the_tip_keeps_to_its_path(pendulum, line):
     """To the integrator's error: at 10 ms with K = 10."""
-    horizon = Horizon(0.01, 400, integrator="runge_kutta", task=IN_PLANE, gain=10.0)
+    horizon = PredictOptions(dt=0.01, count=400, integrator="runge_kutta", task=IN_PLANE, gain=10.0)
     control, ahead = problem(pendulum, quadratic_cost(), horizon), future(line, 4.0, horizon)
     w = 0.5 * jnp.asarray(np.random.default_rng(1).normal(size=(400, 4)))
     q = jax.jit(lambda: ocp.roll_out(control, (jnp.asarray(START), jnp.zeros(4)), w, ahead).y[0])()
@@ -371,8 +378,8 @@ def test_the_tip_is_held_unless_told_otherwise(dt, most, pendulum):
     """It is off by what one of Euler's steps loses, half its acceleration times dt^2, not by the sum of all."""
     start, end, count = np.array([1.0, 2.0 + np.sqrt(3.0)]), np.array([0.5, 0.0]), round(4.0 / dt)
     path = Line(*(pin.SE3(np.eye(3), np.array([*p, 0.0])).homogeneous for p in (start, end)))
-    horizon = Horizon(dt, count, task=IN_PLANE, descend=Descent(iterations=5))
-    found = predict(pendulum, path, 4.0, START, quadratic_cost(lambda q: jnp.sum((q - 0.3) ** 2)), horizon)
+    horizon = PredictOptions(dt=dt, count=count, task=IN_PLANE, descend=DescentOptions(iterations=5))
+    found = predict(pendulum, path, 4.0, START, quadratic_cost(lambda q: jnp.sum((q - 0.3) ** 2)), options=horizon)
     x = np.linspace(0.0, 1.0, count + 1)[:, None]
     asked = start + (10.0 * x**3 - 15.0 * x**4 + 6.0 * x**5) * (end - start)  # Schuetz 2017, (5.40), (5.41)
     reached = np.array([pinocchio(pendulum)(q)[:2, 3] for q in np.asarray(found.q)])
@@ -382,56 +389,63 @@ def test_the_tip_is_held_unless_told_otherwise(dt, most, pendulum):
 
 def test_mistakes_are_one_line(pendulum, line):
     with pytest.raises(ValueError, match=r"gain 60.0; allowed: .*0 <= gain dt < 2"):
-        Horizon(0.04, gain=60.0)
+        PredictOptions(dt=0.04, gain=60.0)
     with pytest.raises(ValueError, match="level 'force'; allowed: velocity, acceleration"):
-        Horizon(level="force")
+        PredictOptions(level="force")
     with pytest.raises(ValueError, match="direction 'up'"):
-        Descent("up")
+        DescentOptions(direction="up")
     with pytest.raises(ValueError, match=r"takes \(4,\)"):
-        predict(pendulum, line, 4.0, np.zeros(3), quadratic_cost(), Horizon(0.04, 10, task=IN_PLANE))
+        predict(pendulum, line, 4.0, np.zeros(3), quadratic_cost(), dt=0.04, count=10, task=IN_PLANE)
 
 
 def test_quasi_newton_finds_what_the_thesis_did_not(pendulum, line):
     """Fig. 5.2: the text's best is 46 + 2.7; by its count (sums over samples of 40 ms, 500 weighs the cost)."""
     collision = lambda q: 500.0 * near_obstacle(pendulum)(q)
-    found = predict(
-        pendulum, line, 4.0, START, quadratic_cost(collision), Horizon(0.04, 100, task=IN_PLANE, gain=1.0, descend=QUASI_NEWTON)
-    )
-    speed, near = np.sum(np.asarray(found.qdot) ** 2), np.sum(jax.vmap(collision)(found.q[:-1]))
+    how = PredictOptions(dt=0.04, count=100, task=IN_PLANE, gain=1.0, descend=QUASI_NEWTON)
+    found = predict(pendulum, line, 4.0, START, quadratic_cost(collision), options=how)
+    speed, near = np.sum(np.asarray(found.velocity) ** 2), np.sum(jax.vmap(collision)(found.q[:-1]))
     assert speed + near < 46.0 + 2.7
     assert found.reason == jaxik.Reason.SOLVED
     np.testing.assert_allclose(found.q[0], START)
 
 
 def test_scenarios_in_one_call_are_each_what_they_are_alone(pendulum, line):
-    horizon = Horizon(0.1, 20, task=IN_PLANE, descend=Descent(iterations=5))
+    horizon = PredictOptions(dt=0.1, count=20, task=IN_PLANE, descend=DescentOptions(iterations=5))
     cost = quadratic_cost(lambda q, weight: weight * 0.5 * jnp.sum((q - 0.3) ** 2))
     rng = np.random.default_rng(0)
     starts, weights, guesses = START + 0.1 * rng.normal(size=(3, 4)), np.array([0.0, 1.0, np.nan]), rng.normal(size=(3, 20, 4))
-    many = predict(pendulum, line, 4.0, starts, cost, horizon, guesses, weights, ("guess", "given"))
+    many = predict(pendulum, line, 4.0, starts, cost, options=horizon, guess=guesses, given=weights, each=("guess", "given"))
     for i in range(3):
-        alone = predict(pendulum, line, 4.0, starts[i], cost, horizon, guesses[i], weights[i])
+        alone = predict(pendulum, line, 4.0, starts[i], cost, options=horizon, guess=guesses[i], given=weights[i])
         np.testing.assert_allclose(many.q[i], alone.q, atol=1e-9)
         np.testing.assert_allclose(many.totals[i], alone.totals, rtol=1e-9)
         assert (many.reason[i], many.iterations[i]) == (alone.reason, alone.iterations)
-    rows = np.arange(70) % 3  # more than go into one block
-    wide = predict(pendulum, line, 4.0, starts[rows], cost, horizon, guesses[rows], weights[rows], ("guess", "given"))
+    assert many[0].why.startswith("not converged at sample 0; begin the path at") and not any(many)
+    assert many.why[2].startswith("invalid at sample 0; look for NaN") and len(many) == 3
+    with pytest.raises(ValueError, match="the truth of 3 motions"):
+        bool(many)
+    wide, counted = functools.partial(predict, pendulum, line, 4.0, cost=cost, options=horizon, each=("guess", "given")), []
+    rows = np.arange(140) % 3  # more than go into one block
+    wide = wide(starts[rows], guess=guesses[rows], given=weights[rows], progress=lambda *done: counted.append(done))
     np.testing.assert_allclose(wide.q, np.asarray(many.q)[rows], atol=1e-9)
-    best = multistart(pendulum, line, 4.0, START, cost, horizon, starts=8, given=1.0)
+    assert counted[-1] == (140, 140)
+    best = predict(pendulum, line, 4.0, START, cost, options=horizon, starts=8, given=1.0)
     assert best.q.shape == (8, 21, 4) and np.all(np.diff(best.total) >= 0.0)
+    with pytest.raises(ValueError, match="starts are those of one scenario"):
+        predict(pendulum, line, 4.0, starts, cost, options=horizon, starts=8, given=weights, each=("given",))
     with pytest.raises(ValueError, match="each 'cost'; allowed: path, duration, guess, given"):
-        predict(pendulum, line, 4.0, starts, cost, horizon, each=("cost",))
+        predict(pendulum, line, 4.0, starts, cost, options=horizon, each=("cost",))
 
 
 def test_a_free_start_is_the_best_on_its_manifold(pendulum, line):
     """(5.4): the tip is where it was, the cost is less, and N lambda(0) = 0."""
     cost = quadratic_cost(lambda q: 0.5 * jnp.sum((q - 0.3) ** 2))
-    horizon = Horizon(
-        0.01, 200, "velocity", "runge_kutta", IN_PLANE, descend=dataclasses.replace(QUASI_NEWTON, tolerance=1e-12)
+    horizon = PredictOptions(
+        level="velocity", integrator="runge_kutta", task=IN_PLANE, descend=dataclasses.replace(QUASI_NEWTON, tolerance=1e-12)
     )
-    given = predict(pendulum, line, 2.0, START, cost, horizon)
-    horizon_free = dataclasses.replace(horizon, start="free")
-    free = predict(pendulum, line, 2.0, START, cost, horizon_free)
+    given = predict(pendulum, line, 2.0, START, cost, options=horizon)
+    horizon_free = dataclasses.replace(horizon, free_start=True)
+    free = predict(pendulum, line, 2.0, START, cost, options=horizon_free)
     assert free.total < given.total - 0.01
     np.testing.assert_allclose(pinocchio(pendulum)(np.asarray(free.q[0]))[:2, 3], [1.0, 2.0 + np.sqrt(3.0)], atol=1e-9)
     control, ahead = problem(pendulum, cost, horizon), future(line, 2.0, horizon)
@@ -442,15 +456,19 @@ def test_a_free_start_is_the_best_on_its_manifold(pendulum, line):
     assert np.abs(across).max() < 1e-4 * np.abs(adjoint[0]).max()
 
 
-def test_multistart_puts_what_is_solved_first():
+def test_many_starts_put_what_is_solved_first():
     """A motion that passes the joints' limits is no better for costing less."""
     robot = dataclasses.replace(jaxik.load("planar2"), upper=np.array([0.9, 1.2]), self_pairs=())
     start = np.array([0.3, 0.9])
     begin = np.asarray(jaxik.forward_kinematics(robot, start))
     path = Line(begin, begin - 0.3 * np.outer(np.eye(4)[0], np.eye(4)[3]))
-    horizon = Horizon(
-        0.05, 20, task=jaxik.Task.pose(("y", "z", "roll", "pitch", "yaw"), axes="base"), descend=Descent(iterations=1)
+    horizon = PredictOptions(
+        dt=0.05,
+        count=20,
+        task=jaxik.Task.pose(("y", "z", "roll", "pitch", "yaw"), axes="base"),
+        descend=DescentOptions(iterations=1),
     )
-    found = multistart(robot, path, 1.0, start, quadratic_cost(lambda q: 9.0 * (q[1] - 3.0) ** 2), horizon, 16, 4.0)
+    cost = quadratic_cost(lambda q: 9.0 * (q[1] - 3.0) ** 2)
+    found = predict(robot, path, 1.0, start, cost, options=horizon, starts=16, spread=4.0)
     assert 0 < found.success.sum() < 16 and np.all(np.diff(found.success.astype(int)) <= 0)
     assert found.total[~found.success].min() < found.total[0]

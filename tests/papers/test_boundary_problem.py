@@ -10,7 +10,8 @@ from papers.boundary_problem import _System, boundary_value
 from scipy.optimize import minimize
 
 import jaxik
-from jaxik.motions import Horizon, Line, predict, quadratic_cost
+from jaxik.costs import quadratic_cost
+from jaxik.motions import Line, PredictOptions, predict
 
 IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
@@ -33,8 +34,10 @@ def test_a_free_start_is_that_of_the_descent(pendulum, line):
     """(5.4), to the samples' length."""
     cost = quadratic_cost(lambda q: 0.5 * jnp.sum((q - 0.3) ** 2))
     descend = dataclasses.replace(jaxik.optimise.QUASI_NEWTON, tolerance=1e-12)
-    horizon = Horizon(0.01, 200, "velocity", "runge_kutta", IN_PLANE, descend=descend, start="free")
-    free = predict(pendulum, line, 2.0, START, cost, horizon)
+    horizon = PredictOptions(
+        count=200, level="velocity", integrator="runge_kutta", task=IN_PLANE, descend=descend, free_start=True
+    )
+    free = predict(pendulum, line, 2.0, START, cost, options=horizon)
     reference = boundary_value(pendulum, line, 2.0, START, cost, horizon, guess=free, tolerance=1e-4)
     assert reference.success
     assert abs(reference.total / float(free.total) - 1.0) < 5e-3
@@ -44,7 +47,7 @@ def test_a_free_start_is_that_of_the_descent(pendulum, line):
 @pytest.mark.parametrize("duration", [0.0, -1.0, np.nan, np.inf])
 def test_a_path_takes_time(duration, pendulum, line):
     with pytest.raises(ValueError, match=r"duration .*; allowed: a positive number of seconds"):
-        boundary_value(pendulum, line, duration, START, quadratic_cost(), Horizon(0.1, 20, task=IN_PLANE))
+        boundary_value(pendulum, line, duration, START, quadratic_cost(), PredictOptions(dt=0.1, count=20, task=IN_PLANE))
 
 
 def test_the_reference_knows_other_costs_and_says_what_became_of_the_motion():
@@ -53,7 +56,7 @@ def test_the_reference_knows_other_costs_and_says_what_became_of_the_motion():
     start = np.array([0.3, 0.9])
     begin = np.asarray(jaxik.forward_kinematics(robot, start))
     path = Line(begin, begin + 0.3 * np.outer(np.eye(4)[0], np.eye(4)[3]))
-    horizon = Horizon(0.01, 20, "velocity", task=jaxik.Task.pose(("y", "z", "roll", "pitch", "yaw"), axes="base"))
+    horizon = PredictOptions(count=20, level="velocity", task=jaxik.Task.pose(("y", "z", "roll", "pitch", "yaw"), axes="base"))
     steep = lambda q, qdot, w, t: jnp.sum((q - 1.0) ** 2) + jnp.sum(qdot**2) + jnp.sum(w**2) + 5.0 * jnp.sum(w**4)
     system, world, z = _System(robot, steep, horizon), (path, 1.0), np.array([0.4, 0.8, 2.0, -3.0])
     w, left = jax.jit(lambda z: system.input(world, 0.3, z))(z)
@@ -64,6 +67,6 @@ def test_the_reference_knows_other_costs_and_says_what_became_of_the_motion():
     assert not off.success and off.reason == jaxik.Reason.NOT_CONVERGED and "of the motion: not converged" in off.message
     with pytest.raises(ValueError, match=r"boundary value: q is .nan nan.; allowed: \(2,\), finite"):
         boundary_value(robot, path, 1.0, start * np.nan, steep, horizon)
-    many = predict(robot, path, 1.0, start[None], quadratic_cost(), horizon)
+    many = predict(robot, path, 1.0, start[None], quadratic_cost(), options=horizon)
     with pytest.raises(ValueError, match=r"the guess has q \(1, 21, 2\); allowed: one motion, \(k, 2\)"):
         boundary_value(robot, path, 1.0, start, steep, horizon, guess=many)

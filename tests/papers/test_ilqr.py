@@ -10,7 +10,8 @@ from papers import ilqr
 from scipy.optimize import lsq_linear, minimize
 
 import jaxik
-from jaxik.motions import Horizon, Line, predict, quadratic_cost
+from jaxik.costs import quadratic_cost
+from jaxik.motions import Line, PredictOptions, predict
 from jaxik.motions.predictive import future, objective, problem
 from jaxik.optimise import QUASI_NEWTON
 
@@ -33,8 +34,8 @@ def line(pendulum):
 
 def test_ilqr_agrees_and_keeps_its_bounds(pendulum, line):
     cost = quadratic_cost(lambda q: 2.0 * jnp.sum((q - 0.3) ** 2))
-    horizon = Horizon(0.1, 20, task=IN_PLANE, descend=dataclasses.replace(QUASI_NEWTON, tolerance=1e-13))
-    quasi = predict(pendulum, line, 2.0, START, cost, horizon)
+    horizon = PredictOptions(dt=0.1, count=20, task=IN_PLANE, descend=dataclasses.replace(QUASI_NEWTON, tolerance=1e-13))
+    quasi = predict(pendulum, line, 2.0, START, cost, options=horizon)
     control, ahead = problem(pendulum, cost, horizon), future(line, 2.0, horizon)
     solve = jax.jit(
         lambda bound: ilqr.solve(control, (jnp.asarray(START), jnp.zeros(4)), jnp.zeros((20, 4)), ahead, -bound, bound)
