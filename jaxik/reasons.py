@@ -18,11 +18,11 @@ class Reason(IntEnum):
     COLLISION = 3  # configurations inside the limits have it, all of them collide
     NOT_CONVERGED = 4
     INVALID = 5  # the target itself is no pose: NaN, not a rotation; of a motion: not a number from here on
-    SINGULAR = 6  # of a motion: the arm cannot move as the path asks, and the tip falls behind
-    STILL = 7  # of a motion: the path has no length; the tip stands still
-    UNEXCITED = 8  # of a log: it does not tell well all that motions of the robot could
-    SILENT = 9  # of a device: it says nothing
-    UNEXPLAINED = 10  # of a log: most of a joint's torque is nothing that bodies and friction do
+    SINGULAR = 6  # a motion: the arm cannot move as the path asks, and the tip falls behind
+    STILL = 7  # a motion: the path has no length; the tip stands still
+    UNEXCITED = 8  # a log: it does not tell well all that motions of the robot could
+    SILENT = 9  # a device: it says nothing
+    UNEXPLAINED = 10  # a log: most of a joint's torque is nothing that bodies and friction do
 
     @property
     def text(self) -> str:
@@ -57,7 +57,7 @@ class Reasoned:
         return texts(self.reason)
 
     def counts(self) -> dict[str, int]:
-        """How many ended for each reason, by its words."""
+        """The number that ended for each reason, by its words."""
         found, counts = np.unique(np.asarray(self.reason, int), return_counts=True)
         return {Reason(int(r)).text: int(c) for r, c in zip(found, counts, strict=True)}
 

@@ -1,4 +1,4 @@
-"""One base for results: what a call found, or why it found nothing, for each of what was asked."""
+"""One base for results: the answers of a call, or the reasons why there are none."""
 
 from __future__ import annotations
 
@@ -59,12 +59,12 @@ class Result(Reasoned, Pytree):
         return f"{where}: " * bool(where) + reason.text + f"; {mend}" * bool(mend)
 
     def counts(self) -> dict[str, int]:
-        """How many ended for each reason, by its words."""
+        """The number that ended for each reason, by its words."""
         found, counts = np.unique(np.asarray(self.reason, int), return_counts=True)
         return {Reason(int(code)).text: int(count) for code, count in zip(found, counts, strict=True)}
 
     def __len__(self) -> int:
-        """How many rows: 1 for a single result."""
+        """The number of rows: 1 for a single result."""
         return int(np.size(self.reason))
 
     def __getitem__(self, rows: Any) -> Self:

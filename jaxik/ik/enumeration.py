@@ -1,8 +1,8 @@
 """Answers without a search: where a target is a pose, and no obstacle is near, they are branches of the closed form.
 
-Of six joints its up to eight branches are all answers; of six joints of no family homotopy finds all. Where it is given values
-(a rail, a last joint), points of a sequence over their ranges are tried, and the best branches are improved at points nearby.
-Left to the search are
+Six joints have no answers but its up to eight branches; homotopy finds all answers of six joints of no family. Where it is
+given values (a rail, a last joint), points of a sequence over their ranges are tried, and the best branches are improved at
+points nearby. Left to the search are
 
 - targets without an answer at these points;
 - the answer nearest to a reference: a descent from the reference is as fast, and over two given values ends nearer;
@@ -48,7 +48,7 @@ ZOOMS, ZOOMED, NARROWER = 3, 8, 0.3  # rounds of points near an answer's own, po
 
 def enumerable(problem: Problem) -> bool:
     """Whether the closed form answers the problem: poses, without obstacles, a cost, or seeds of another kind, and no joint
-    locked but those that it is given. Of six joints of no family: whether more than one answer is asked for, none locked."""
+    locked but those that it is given; with six joints of no family, whether more than one answer is asked for, none locked."""
     options, robot, wanted = problem.options, problem.robot, problem.options.seeds == "closed_form"
     if (problem.scene is not None and not problem.alone) or options.cost is not None or not (wanted or options.seeds == "auto"):
         return False
@@ -76,7 +76,7 @@ def _without_closed_form(robot: Robot) -> GeneralArm | None:
 
 
 def enumerated(problem: Problem, left: np.ndarray) -> Found:
-    """Answers of the targets numbered `left`, of poses (N, 4, 4): of each the best by the choice, as many as are asked for."""
+    """Returns the best answers by the choice for the targets numbered `left`, as many for each as are asked for."""
     if problem.choice != "first":
         found = _kept_of(problem, left, 0, _most(problem))
         followed = [_followed(problem, found)] if problem.robot.num_joints > 6 else []
@@ -88,7 +88,7 @@ def enumerated(problem: Problem, left: np.ndarray) -> Found:
 
 
 def _first(problem: Problem, left: np.ndarray) -> Found:
-    """Of each target the first branch inside the limits, at the first point that has one."""
+    """Returns, for each target, the first branch inside the limits at the first point that has one."""
     found = [nothing(problem)]
     for first, last in itertools.pairwise(_tries(problem, len(left))):
         values = _values(problem, first, last)
@@ -105,7 +105,8 @@ def _first(problem: Problem, left: np.ndarray) -> Found:
 
 
 def _several(problem: Problem, targets: np.ndarray) -> Found:
-    """Of each target as many branches as are asked for, from one wave of points after the other until there are enough."""
+    """Collects the branches of each target that are asked for, from one wave of points after the other until there are
+    enough."""
     left, found = targets, nothing(problem)
     for first, last in itertools.pairwise(_tries(problem, len(left))):
         found = _best(problem, Found.joined([found, _kept_of(problem, left, first, last)]))
@@ -116,7 +117,7 @@ def _several(problem: Problem, targets: np.ndarray) -> Found:
 
 
 def _most(problem: Problem) -> int:
-    """How many points are tried."""
+    """The number of points that are tried."""
     return 1 if problem.robot.num_joints == 6 else problem.options.max_seeds
 
 
@@ -129,8 +130,8 @@ def _tries(problem: Problem, targets: int) -> list[int]:
 
 
 def _kept_of(problem: Problem, some: np.ndarray, first: int, last: int) -> Found:
-    """What `_kept` keeps of the branches of `some` targets at points number `first` to `last` that do not collide, so many
-    targets at a time as memory holds."""
+    """Finds the branches of `some` targets at points number `first` to `last` that do not collide and that `_kept` keeps, as
+    many targets at a time as memory holds."""
     parts = (judged(problem, _of_values(problem, part, first, last))[0] for part in portions(some, last - first))
     return Found.joined([_kept(problem, part) for part in parts])
 
@@ -158,15 +159,14 @@ def _of_general(problem: Problem, arm: GeneralArm, some: np.ndarray) -> Found:
 
 
 def _kept(problem: Problem, found: Found) -> Found:
-    """What is kept of the branches of some targets: where one answer is asked for the best of each branch number, to be
-    followed; else the best of all."""
+    """Keeps the best of each branch number where one answer is asked for, to be followed; else the best of all."""
     if problem.most > 1 or problem.robot.num_joints == 6:
         return _best(problem, found)
     return found.rows(first_most(BRANCHES * found.target + found.seed % BRANCHES, scores(problem, found)))
 
 
 def _best(problem: Problem, found: Found) -> Found:
-    """Of each target the best by the choice, as many as are asked for."""
+    """Keeps the best of each target by the choice, as many as are asked for."""
     score = scores(problem, found)
     if problem.most == 1:
         return found.rows(top(found.target, score, 1, found.seed))
@@ -215,7 +215,7 @@ def _followed(problem: Problem, found: Found) -> Found:
 
 
 def measured(problem: Problem, found: Found) -> Found:
-    """With the errors of their tips, in float64."""
+    """Measures the errors of the tips, in float64."""
     if not len(found.q):
         return found
     program = batch(2, errors, problem.robot, problem.options.task)

@@ -58,7 +58,7 @@ UNLIMITED = 16  # seeds for the question whether it was the limits
 
 
 class Outcome(NamedTuple):
-    """What a search ends with: a `Reason` a target, all answers, postures that only collide, and the nearest misses."""
+    """The end of a search: a `Reason` a target, all answers, postures that only collide, and the nearest misses."""
 
     reason: np.ndarray
     found: Found
@@ -155,9 +155,9 @@ def _searched_for(problem: Problem, valid: np.ndarray) -> Outcome:
 
 
 def _of_the_rest(problem: Problem) -> tuple[Problem, list[tuple[Wave, ...]]]:
-    """How what the branches of six joints, which are all, do not answer is searched for, and in which stages: from these put
-    inside the limits, as there may be an answer within the tolerances, or joints that turn against each other where they are in
-    line; then from elsewhere, too, where that came close."""
+    """The problem and the stages of the search for targets that have no answer among all branches of six joints: it begins at
+    these put inside the limits, as there may be an answer within the tolerances, or joints that turn against each other where
+    they are in line; then elsewhere, too, where that came close."""
     most = problem.options.max_seeds
     few, more = (_waves(count, True, False) for count in (min(BRANCHES, most), most))
     stages = [few, tuple(wave for wave in more if wave.first >= BRANCHES)]
@@ -182,7 +182,7 @@ def _out_of_reach(problem: Problem) -> np.ndarray:
 
 @functools.lru_cache(maxsize=64)
 def _waves(most: int, first_will_do: bool, scene: bool) -> tuple[Wave, ...]:
-    """Of `most` seeds few at first where one answer is enough, since most targets need no more."""
+    """Parts `most` seeds into waves: few at first where one answer is enough, since most targets need no more."""
     sizes = [most] if not first_will_do else [16, 48] if scene else [1, 1, 2, 4, 8, 16, 32]
     rescue, push = (3, 2) if scene else (5, 0)  # the numbers of the first waves that do
     ends = sorted({min(end, most) for end in itertools.accumulate(sizes + [64] * (most // 64 + 1))})
@@ -229,7 +229,7 @@ def _starts(problem: Problem, some: np.ndarray, first: int, last: int) -> np.nda
 
 
 def _anywhere(problem: Problem, some: np.ndarray, first: int, last: int) -> np.ndarray:
-    """Likewise, by the strategy."""
+    """Seeds `first` to `last` of `some` targets by the strategy, (len(some), last - first, n)."""
     robot, options, numbers = problem.robot, problem.options, (problem.inside, problem.seed, first, last)
     if problem.strategy == "closed_form":
         return seeds.branches(robot, *numbers, problem.poses[some])

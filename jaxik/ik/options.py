@@ -18,7 +18,7 @@ MOST_SEEDS = 1_000_000
 
 
 class IKOptions(field.Options, who="solve_ik"):
-    """How `solve_ik` searches, and what it takes for an answer.
+    """Options of `solve_ik`: how it searches, and what it takes for an answer.
 
     With `seeds` "auto" and "closed_form" a pose without obstacles and cost is answered by the closed form itself
     (`jaxik.ik.enumeration`), and only what that leaves is searched for; its branch b at given values number k is the seed

@@ -30,11 +30,11 @@ from jaxik.spmd.batch import in_blocks
 
 ROUNDED = 1e-6  # [rad] that limits of +-180 degrees may be short of a turn in a file
 EXACT = 1e-9  # [rad], [unit lengths]: what an answer's error becomes, and less where the tolerances ask for less
-MENDS = {  # of targets that are no poses, by the length of their rows
+MENDS = {  # for targets that are no poses, by the length of their rows
     3: "; for positions alone give task=jaxik.Task.position(), for poses jaxik.pose(xyz, wxyz=...)",
     7: "; jaxik.pose(xyz, wxyz=...) makes poses of positions and quaternions",
 }
-FAULTS = (  # of a target that is no pose, by the number in `IKResult.fault`
+FAULTS = (  # why a target is no pose, by the number in `IKResult.fault`
     "",
     "its position holds NaN or infinity",
     "its rotation is 0, as of a quaternion of length 0",

@@ -20,15 +20,15 @@ from jaxik.optimise import sqp
 from jaxik.reasons import Reason
 from jaxik.spmd.batch import anew_in_forks, in_blocks, threads
 
-EARLY, STEPS = 7, 16  # of a lane before it is given up, from an early seed and a late one: most that land need four
+EARLY, STEPS = 7, 16  # steps before a lane is given up, from an early seed and a late one: most that land need four
 ARRIVED = 2e-5  # [rad], [unit lengths]: steps in float32 lead no further
-LANDED = 2e-3  # from where a few steps in float64 reach 1e-9 nearly always
+LANDED = 2e-3  # [rad], [unit lengths]: from here a few steps in float64 reach 1e-9 nearly always
 FINISH = sqp.Options(floor=1e-10, cap=0.1)
 FINISHING = 4  # steps at most
-KEPT, NEAR, RESCUE = 32, 0.05, 24  # so many misses, this near [rad, unit lengths], get so many more steps
+KEPT, NEAR, RESCUE = 32, 0.05, 24  # the number of misses, this near [rad, unit lengths], that get so many more steps
 SOLVED, OPEN = int(Reason.SOLVED), int(Reason.NOT_CONVERGED)
 CLOSE = 1e-3  # [rad, unit lengths] by which a pose next to a singularity may be missed that has one within the tolerances
-FEW = 10  # of the tolerances, from where steps may lead to within these
+FEW = 10  # tolerances, from where steps may lead to within one
 LOOSE, LOOSENING = 40, sqp.Options(floor=1e-10, cap=0.3)  # steps at most, and how they are made
 CREEP = 0.95  # of its error, at most, is left of a miss after two steps, or it is at rest; some return, so not among obstacles
 
@@ -74,7 +74,7 @@ def compile_finisher(program: Callable[..., Any], n: int) -> Future[Any]:
 
 
 def finish(problem: Problem, landed: Found, misses: Misses) -> Found:
-    """In float64: the last steps, and whose errors are within the tolerances."""
+    """Makes the last steps, in float64, and keeps the lanes whose errors are within the tolerances."""
     if not len(landed.q):
         return landed
     compile_finisher(settling(problem), problem.robot.num_joints).result()
@@ -85,8 +85,8 @@ def finish(problem: Problem, landed: Found, misses: Misses) -> Found:
 
 
 def rescued(problem: Problem, near: Found) -> tuple[Found, Found]:
-    """Near misses after up to `RESCUE` more steps, since next to a singularity convergence is slow: answers, and colliding
-    ones."""
+    """Gives near misses up to `RESCUE` more steps, since next to a singularity convergence is slow. Returns answers, and
+    colliding ones."""
     if not len(near.q):
         return near, near
     near = settled(problem, near, RESCUE, creep=CREEP if problem.scene is None else np.inf)
@@ -94,8 +94,8 @@ def rescued(problem: Problem, near: Found) -> tuple[Found, Found]:
 
 
 def loosened(problem: Problem, missed: Found) -> tuple[Found, Found]:
-    """Near misses after steps to within the tolerances, and no nearer: answers, and colliding ones. Where a pose is just out of
-    reach, or beyond the limits, there are no others."""
+    """Leads near misses to within the tolerances, and no nearer. Returns answers, and colliding ones. Where a pose is just out
+    of reach, or beyond the limits, there are no others."""
     if not len(missed.q):
         return missed, missed
     aim = problem.aim[missed.target]
@@ -125,8 +125,8 @@ class Misses:
             self.parts, self.count = [(kept, np.zeros(len(kept.q), bool))], len(kept.q)
 
     def _nearest(self, count: int, reason: np.ndarray | None = None, most: Any = None) -> Found:
-        """So many of each target, those with the least errors, and these less than `most`, a number or one a target; only of
-        targets without an answer, where reasons are known."""
+        """Returns the `count` lanes of each target with the least errors, below `most`, a number or one a target. If `reason`
+        is given, targets that are solved are skipped."""
         noted = Found.joined([nothing(self.problem), *(ended.rows(~well) for ended, well in self.parts)])
         if reason is not None:
             noted = noted.rows(reason[noted.target] != SOLVED)
@@ -137,22 +137,23 @@ class Misses:
         return noted.rows(top(noted.target, -away, count))
 
     def _away(self, found: Found) -> np.ndarray:
-        """How far rows are from their targets [rad, unit lengths]; in float64, so that they rank the same whatever they are
-        joined with."""
+        """The distances of rows from their targets [rad, unit lengths]; in float64, so that they rank the same whatever they
+        are joined with."""
         return found.position_error.astype(np.float64) / self.problem.unit + found.rotation_error
 
     def near(self, reason: np.ndarray) -> Found:
-        """Those of targets searched for in vain that came within `NEAR`."""
+        """Lanes of targets searched for in vain that came within `NEAR`."""
         return self._nearest(KEPT, reason, NEAR)
 
     def close(self, reason: np.ndarray) -> np.ndarray:
-        """Which targets (N,) searched for in vain are missed by so little that steps may yet lead to within the tolerances."""
+        """Whether each target (N,), searched for in vain, is missed by so little that steps may yet lead to within the
+        tolerances."""
         found = np.zeros(len(reason), bool)
         found[self._nearest(1, reason, CLOSE).target] = True
         return found
 
     def loose(self, reason: np.ndarray) -> Found:
-        """Those of them that came within a few of the tolerances."""
+        """Lanes of targets searched for in vain that came within a few of the tolerances."""
         return self._nearest(KEPT, reason, FEW * (self.problem.tolerance @ [1.0 / self.problem.unit, 1.0]))
 
     def nearest(self, reason: np.ndarray) -> Found:
@@ -165,14 +166,14 @@ class Misses:
 # Colliding postures led out of the obstacles or to another branch, answers led down a user's cost
 
 PUSHED, PUSHES = (4, 64), 24  # colliding postures a target that are moved out of the obstacles, at first and at last; the steps
-HOPS = 2  # from branch to branch, of an arm without spare joints
+HOPS = 2  # hops from branch to branch, for an arm without spare joints
 PUSH_MARGIN = 2e-4  # [m] more than is asked for, which the finish in float64 may use up
 IMPROVE_MARGIN = 1e-8  # [m] more, of an answer that leans on an obstacle for the sake of its cost
 IMPROVED = 32  # answers of a target that a cost is made smaller from, the cheapest that are apart
 
 
 def goal(problem: Problem, cost: Cost | None = None) -> Goal:
-    """What a lane is to reach, and minds beside: the cost, and obstacles as the options have it."""
+    """The goal of a lane: the task, the cost, and obstacles as the options have it."""
     options = problem.options
     collision = "none" if problem.scene is None else str(options.collision)
     return Goal(options.task, cost, collision, options.activation, options.penalty)

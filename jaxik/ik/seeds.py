@@ -1,6 +1,6 @@
-"""Where the searches of inverse kinematics start.
+"""Seeds, where the searches of inverse kinematics start.
 
-A seed has a number. Which configuration number k is depends on the target and on the user's `seed`, never on the batch.
+A seed has a number. The configuration with number k depends on the target and on the user's `seed`, never on the batch.
 
 library          the nearest to the target, by pose, of 1024 (later 512) configurations whose poses were computed once;
                  number k searches the k-th such set. A search from there succeeds about twice as often as from a random
@@ -55,8 +55,8 @@ def uniform(inside: Range, seed: int, number: int, count: int = 1) -> np.ndarray
 
 @functools.lru_cache(maxsize=64)
 def low_discrepancy(inside: Range, seed: int, first: int, last: int) -> np.ndarray:
-    """Numbers `first` to `last` (not counted) of the sequence, (last - first, n): each joint steps by its power of 1/g, where
-    g^(n + 1) = g + 1, round its range. SciPy has others, whose import takes longer than to find all answers."""
+    """Configurations `first` to `last` (not counted) of the sequence, (last - first, n): each joint steps by its power of 1/g,
+    where g^(n + 1) = g + 1, round its range. SciPy has others, whose import takes longer than to find all answers."""
     n, g = len(inside.low), 2.0
     for _ in range(64):
         g = (1.0 + g) ** (1.0 / (n + 1))
@@ -66,13 +66,13 @@ def low_discrepancy(inside: Range, seed: int, first: int, last: int) -> np.ndarr
 
 @functools.lru_cache(maxsize=64)
 def uniforms(inside: Range, seed: int, first: int, last: int) -> np.ndarray:
-    """Numbers `first` to `last` (not counted), (last - first, n)."""
+    """Configurations number `first` to `last` (not counted), (last - first, n)."""
     return read_only(np.concatenate([uniform(inside, seed, number) for number in range(first, last)]))
 
 
 def near(inside: Range, seed: int, first: int, last: int, reference: np.ndarray) -> np.ndarray:
-    """Numbers `first` to `last` around references (N, n), (N, last - first, n): number 0 is the reference itself; the box is a
-    tenth of the range at first and all of it from number 32 on."""
+    """Configurations `first` to `last` around references (N, n), (N, last - first, n): number 0 is the reference itself; the
+    box is a tenth of the range at first and all of it from number 32 on."""
     numbers = np.arange(first, last)
     width = np.where(numbers == 0, 0.0, np.minimum(1.0, 0.1 * 10.0 ** (numbers / 32.0)))
     low, high = np.array(inside.low), np.array(inside.high)
@@ -85,7 +85,8 @@ def near(inside: Range, seed: int, first: int, last: int, reference: np.ndarray)
 
 
 def _features(task: Task, poses: np.ndarray, length: float) -> np.ndarray:
-    """What of a pose (N, 4, 4) the task binds, so that squared distances are `|dp|^2 / length^2 + angle^2` for small angles."""
+    """The parts of poses (N, 4, 4) that the task binds; squared distances are `|dp|^2 / length^2 + angle^2` for small
+    angles."""
     parts = [poses[:, list(task.positions), 3] / length] if len(task.positions) == 3 or task.axes == "base" else []
     rotation = poses[:, :3, :3]
     if len(task.rotations) == 3:
@@ -120,7 +121,7 @@ def _sets(robot: Robot, task: Task, inside: Range, length: float, first: int, la
 def library(
     robot: Robot, task: Task, length: float, inside: Range, seed: int, first: int, last: int, poses: np.ndarray
 ) -> np.ndarray:
-    """Numbers `first` to `last` for poses (N, 4, 4), (N, last - first, n)."""
+    """Seeds number `first` to `last` for poses (N, 4, 4), (N, last - first, n)."""
     at = np.empty((len(poses), last - first, robot.num_joints), np.float32)
     sets = _sets(robot, task, inside, length, first, min(last, SETS))
     if sets:
@@ -133,7 +134,7 @@ def library(
 
 
 def _first_largest(wanted: Any, tables: list[Any]) -> list[Any]:
-    """Of each table (m, f + 1) the row whose product with (wanted, 1) is largest; of equal ones the first."""
+    """The row of each table (m, f + 1) whose product with (wanted, 1) is largest; the first of equal ones."""
 
     def turn(best: Any, row: Any) -> Any:
         k, entries = row
@@ -154,8 +155,8 @@ NEAREST = HostKernel(_first_largest, 1)
 
 
 def branches(robot: Robot, inside: Range, seed: int, first: int, last: int, poses: np.ndarray) -> np.ndarray:
-    """Numbers `first` to `last` of the closed form's branches for poses (N, 4, 4), (N, last - first, n). Where it is given
-    values, number k is the best branch at the k-th point of a low-discrepancy sequence of them, else the k-th best of
+    """Seeds number `first` to `last` among the closed form's branches for poses (N, 4, 4), (N, last - first, n). Where it is
+    given values, number k is the best branch at the k-th point of a low-discrepancy sequence of them, else the k-th best of
     the eight. Best is what leaves the limits least; where there is none, the start is a uniform one."""
     numbers = np.tile(np.arange(first, last), len(poses))
     given = np.zeros((len(numbers), 0))

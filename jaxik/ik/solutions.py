@@ -1,4 +1,4 @@
-"""What lanes have found: columns of finished postures, whether they are answers, and which of them are apart."""
+"""Lanes that have found something: columns of finished postures, which are answers, which are apart, and which are taken."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Found(NamedTuple):
     iterations: np.ndarray
 
     def rows(self, kept: np.ndarray) -> Found:
-        """Those that a mask or a list of numbers picks."""
+        """Picks rows by a mask or a list of numbers."""
         if kept.dtype == bool:
             if kept.all():
                 return self
@@ -48,7 +48,7 @@ class Found(NamedTuple):
 
 
 def within(found: Found, tolerance: np.ndarray) -> np.ndarray:
-    """Whose errors are no more than their target's of the tolerances (N, 2)."""
+    """Whether the errors of each row are no more than its target's tolerances, of (N, 2)."""
     allowed = tolerance[found.target]
     return (found.position_error <= allowed[:, 0]) & (found.rotation_error <= allowed[:, 1])
 
@@ -60,7 +60,7 @@ def portions(rows: np.ndarray, each: int) -> list[np.ndarray]:
 
 
 def candidates(q: np.ndarray, target: np.ndarray, number: np.ndarray) -> Found:
-    """Lanes at their starts; the numbers that judge them are still to come."""
+    """Makes lanes at their starts, whose errors and clearances are not known."""
     unknown = np.full(len(q), np.nan)
     return Found(target, q, unknown, unknown, unknown, number, np.zeros(len(q), int))
 
@@ -72,14 +72,14 @@ def nothing(problem: Problem) -> Found:
 
 
 def colliding(problem: Problem, found: Found) -> np.ndarray:
-    """Which have less clearance than the margin; none without a scene."""
+    """Whether each row has less clearance than the margin; no row without a scene."""
     if problem.scene is None:
         return np.zeros(len(found.q), bool)
     return ~(found.clearance >= problem.options.margin)
 
 
 def cleared(problem: Problem, found: Found) -> Found:
-    """With their clearance, where there is a scene."""
+    """Measures the clearance, where there is a scene."""
     if problem.scene is None or not len(found.q):
         return found
     exact, program = own_in(problem.scene, OwnSurfaces), batch(1, clearance_around, problem.robot)
@@ -103,7 +103,7 @@ def judged(problem: Problem, found: Found) -> tuple[Found, Found]:
 
 
 def at_home(problem: Problem, found: Found) -> Found:
-    """Each joint on the turn that is nearest to the target's home."""
+    """Turns each joint by 2 pi as near as may be to the target's home."""
     if not len(found.q) or not problem.may_turn.any():
         return found
     return found._replace(q=nearest_turns(problem.robot, found.q, problem.home(found.target), problem.low, problem.high))
@@ -116,7 +116,7 @@ def unwound(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 
 def far_apart(problem: Problem, found: Found, score: np.ndarray, count: int, apart: float = APART) -> np.ndarray:
-    """Up to `count` rows of each target, those with the largest score first, none with each joint near one before it."""
+    """Picks up to `count` rows of each target, by their score, no two of which are near each other in every joint."""
     near = found.target if count <= ROUNDS else _neighbours(problem.robot, found, apart)
     kept = [np.zeros(0, int)]
     order = top(near, score, len(near), found.seed)
@@ -131,8 +131,8 @@ def far_apart(problem: Problem, found: Found, score: np.ndarray, count: int, apa
 
 
 def _neighbours(robot: Robot, found: Found, apart: float) -> np.ndarray:
-    """Numbers that part the rows of each target such that rows of two numbers are apart: joint after joint, values in their
-    order part where the next is further away than `apart`."""
+    """Numbers the rows of each target such that rows with two numbers are apart: joint after joint, values in their order
+    part where the next is further away than `apart`."""
     number, values = found.target, unwound(robot, found.q)
     for value, turns in zip(values.T, unwound(robot, np.full(robot.num_joints, TURN)) == 0.0, strict=True):
         low, high = value.min(initial=0.0), value.max(initial=0.0)
@@ -162,7 +162,7 @@ def top(target: np.ndarray, score: np.ndarray, count: int, *rank: np.ndarray) ->
 
 
 def first_most(owner: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Of rows in the order of their owners: the first row of each that has its largest value."""
+    """The first row of each owner with its largest value, of rows in the order of their owners."""
     if not len(owner):
         return np.zeros(0, int)
     starts = np.flatnonzero(np.diff(owner, prepend=-1))
@@ -172,7 +172,7 @@ def first_most(owner: np.ndarray, value: np.ndarray) -> np.ndarray:
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# Which of several answers is taken, and their turns by 2 pi
+# The choice among several answers, and their turns by 2 pi
 
 
 def costs(problem: Problem, q: np.ndarray) -> np.ndarray:
@@ -181,7 +181,7 @@ def costs(problem: Problem, q: np.ndarray) -> np.ndarray:
 
 
 def scores(problem: Problem, found: Found) -> np.ndarray:
-    """How good answers are by the user's choice; more is better."""
+    """Scores answers by the user's choice; more is better."""
     choice, robot, reference = problem.choice, problem.robot, problem.reference
     if choice == "first":
         return -found.seed.astype(float) if problem.options.cost is None else -costs(problem, found.q)

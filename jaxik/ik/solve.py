@@ -34,8 +34,8 @@ from jaxik.pytree import static
 from jaxik.reasons import Reason
 from jaxik.results import Result
 
-TARGETS = 16_384  # at a time, which bounds the memory
-TOLD = 1_024  # at a time, where progress is told
+TARGETS = 16_384  # solved together, which bounds the memory
+TOLD = 1_024  # solved together where progress is told
 
 
 class Offenders(tuple[tuple[Contact, ...], ...]):
@@ -97,7 +97,7 @@ class IKResult(Result):
 
     @staticmethod
     def joined(parts: Sequence[IKResult]) -> IKResult:
-        """One batch of several, at least one, one after another; as many solutions wide as the widest."""
+        """Joins batches, at least one, one after another; as many solutions wide as the widest."""
         if len(parts) == 1:
             return parts[0]
         width = max(part.solutions.shape[1] for part in parts)

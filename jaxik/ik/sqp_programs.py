@@ -41,8 +41,7 @@ class DescendedIK(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """What a lane is to reach, and minds beside: user's cost, and obstacles as a constraint or a penalty. Hashable: a program's
-    key."""
+    """The goal of a lane: the task, the user's cost, and obstacles as a constraint or a penalty. Hashable: a program's key."""
 
     task: Task
     cost: Cost | None = None
@@ -117,7 +116,7 @@ def loosen(
 
 
 def errors(robot: Robot, task: Task, q: Any, pose: Any) -> tuple[Any, Any]:
-    """Of a configuration, its tip's errors [m], [rad]."""
+    """The errors of a configuration's tip [m], [rad]."""
     position, rotation = task.residual(joint_frames(robot, list(q), dtype=q.dtype).tip, Frame.of_columns(pose))
     length = lambda x: safe_sqrt(sum(each * each for each in x)) if x else jnp.zeros((), q.dtype)
     return length(position), length(rotation)
@@ -174,7 +173,7 @@ def _problem(robot: Robot, goal: Goal, pose: Any, weights: Any, around: Any, dty
 
 
 def _outside(rows: Rows, radius: Any) -> Rows:
-    """How far a vector is outside the ball of this radius, `r max(0, 1 - radius / |r|)`, with its derivative; 0 inside."""
+    """The part of a vector outside the ball of this radius, `r max(0, 1 - radius / |r|)`, with its derivative; 0 inside."""
     if not rows.value:
         return rows
     length = safe_sqrt(dot(rows.value, rows.value))

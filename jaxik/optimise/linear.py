@@ -25,7 +25,7 @@ def dot(a: Sequence[Scalar], b: Sequence[Scalar]) -> Scalar:
 
 
 def column(matrix: Matrix, j: int) -> list[Scalar]:
-    """Number j of a matrix."""
+    """Column number j of a matrix."""
     return [row[j] for row in matrix]
 
 
@@ -83,8 +83,8 @@ _RIDGE, _REPEATS = 1e-6, 3
 
 
 def _solve(matrix: Matrix, right: Sequence[Scalar], mend: Callable[[Any, Any], Any]) -> list[Any]:
-    """By the factors L D L' [Golub and Van Loan 2013, alg. 4.1.2], each pivot as `mend(pivot, diagonal entry)` has it. Without
-    Cholesky's square roots, which take a vector unit as long as twenty products."""
+    """Solves by the factors L D L' [Golub and Van Loan 2013, alg. 4.1.2], each pivot as `mend(pivot, diagonal entry)` has it.
+    Without Cholesky's square roots, which take a vector unit as long as twenty products."""
     n = len(matrix)
     lower: list[list[Any]] = [[] for _ in range(n)]  # L, whose diagonal is 1
     pivots: list[Any] = []

@@ -64,7 +64,7 @@ class Problem(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """How steps are made. `cap` bounds one step's largest component, in the metric; `passes` those of the active set."""
+    """Options of the steps. `cap` bounds one step's largest component, in the metric; `passes` those of the active set."""
 
     hessian: str = "gauss_newton"
     merit: str = "none"
@@ -81,7 +81,7 @@ class Options:
 
 
 class State(NamedTuple):
-    """Where one problem stands; B + `restraint` x metric is what a step is measured in where a merit decides, `learned` is the
+    """The state of one problem; B + `restraint` x metric measures a step where a merit decides, `learned` is the
     lower triangle of B for "bfgs"."""
 
     x: tuple[Any, ...]
@@ -133,7 +133,7 @@ def settle(
 
 
 def advance(problem: Problem, state: State, low: Sequence[Any], high: Sequence[Any], options: Options) -> State:
-    """One step, taken or refused by the merit."""
+    """Makes one step, taken or refused by the merit."""
     x, model, restraint, learned = state
     moved, p, weight = _step(problem, model, x, low, high, options, restraint, learned)
     there = _arrays(problem.model(moved), x[0].dtype)
@@ -156,7 +156,7 @@ def advance(problem: Problem, state: State, low: Sequence[Any], high: Sequence[A
 def _step(
     problem: Problem, model: Model, x: Any, low: Any, high: Any, options: Options, restraint: Any = 0.0, learned: Any = ()
 ) -> Any:
-    """Where a step leads, the step, and the weight of its subproblem."""
+    """The end of a step, the step, and the weight of its subproblem."""
     weight = options.damping * model.violation + options.floor
     hessian = full(learned) if learned else problem.metric
     if options.merit != "none":  # the trust region's multiplier: steps for cost and constraints alike become shorter

@@ -29,7 +29,7 @@ from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
 NOTHING = -2.0  # freedom of a branch that does not have the pose; past its limits the freest joint of all has -1 at least
-NEARLY = 1e-3  # of a cosine, by which what is not looked at closely may be past a limit
+NEARLY = 1e-3  # part of a cosine by which joints that are not looked at closely may be past a limit
 
 
 def leading_grid(robot: Robot, slides: Any) -> np.ndarray:
@@ -54,7 +54,7 @@ def whole_turns(robot: Robot) -> np.ndarray:
 
 
 def grid(axes: list[np.ndarray]) -> np.ndarray:
-    """All combinations of the values of several axes, a row each; one empty row of no axes."""
+    """The combinations of the values of several axes, a row each; one empty row for no axes."""
     if not axes:
         return np.zeros((1, 0))
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
