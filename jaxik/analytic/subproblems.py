@@ -9,8 +9,8 @@
     5   p0 + R(k1, a) p1 = R(k2, b) (p2 + R(k3, c) p3)           up to four triples
     6   h_j1 . R(k1, a) p_j1 + h_j2 . R(k2, b) p_j2 = d_j, j = 1, 2      up to four pairs
 
-R(k, a) is the rotation by the angle a [rad] about the unit axis k. On arrays, for users; the families of arms call the same on
-scalars (`turns`).
+R(k, a) is the rotation by the angle a [rad] about the unit axis k. These functions take arrays; the families of arms call the
+same equations on scalars (`turns`).
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ from jaxik.spmd import kernel
 
 
 class Turns(NamedTuple):
-    """Up to m solutions of j turns each [rad]; `exact` says which solve the problem. The others miss it by least, of
-    subproblems 5 and 6 by least of one of their equations."""
+    """Up to m solutions of j turns each [rad]; `exact` says which solve the problem. The others miss it by least; those of
+    subproblems 5 and 6 miss one of their equations by least."""
 
     angles: Float[Array, "m j"]
     exact: Bool[Array, " m"]

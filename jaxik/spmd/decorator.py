@@ -45,10 +45,10 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
     It takes and returns pytrees of arrays (floats, integers and truth values of up to 64 bits) of one configuration, of any
     shapes and units, and is pure: what it closes over is read when it is first called with arguments of those shapes. The
     numbers of the first `models` arguments (a robot) fold into the program, unless they are traced; they are hashable, and
-    equal ones of equal types share it. Where some configurations take more work than others, `order` is a function of the same
-    arguments that is cheap and gives a number from 0 to 1, or None where it is not worth its while: those of a large batch
-    whose numbers are alike are computed side by side, so that fewer wait for others; the results are the same. What a kernel
-    cannot do runs by XLA, with one warning that says what it was: none of it
+    equal ones of equal types share it. Defaults of arguments that are not given fold, too. Where some configurations take more
+    work than others, `order` is a function of the same arguments that is cheap and gives a number from 0 to 1, or None where it
+    is not worth its while: those of a large batch whose numbers are alike are computed side by side, so that fewer wait for
+    others; the results are the same. What a kernel cannot do runs by XLA, with one warning that says what it was: none of it
     raises. What the function itself raises, of arguments that it cannot take, comes from a call of it without a kernel; that
     function is `__wrapped__`.
     """
