@@ -66,7 +66,7 @@ class SweepArguments:
 
             picture = out.with_suffix(".png")
             with naming(picture, "--plot"):
-                plot_sweep(out, picture, study.scene)
+                plot_sweep(out, picture, scene=study.scene)
             print(f"drew {picture}")
         if asked.stop and not result.complete:
             print("stopped; run the same command again and it goes on", file=sys.stderr)

@@ -30,8 +30,8 @@ class _Crop(NamedTuple):
     box: np.ndarray
 
 
-def plot_harvest(result: HarvestResult, path: Path) -> None:
-    """One picture (PNG) with two views for every fruit: the robot at its posture, or what is in the way."""
+def plot_harvest(result: HarvestResult, path: str | Path) -> None:
+    """Draws one picture (PNG) with two views for every fruit: the robot at its posture, or what is in the way. Host."""
     from matplotlib.figure import Figure
 
     crop, rows = _crop(result), list(result[:MOST])
@@ -165,8 +165,8 @@ PLACES = {"transport": "s", "home": "^"}  # where these lead to
 VIEWS = (2, "z", "from the robot"), (1, "y", "from above")
 
 
-def plot_harvest_plan(plan: HarvestPlan, path: Path) -> None:
-    """One picture (PNG) of the row from the robot and from above: how the tip moves, and which fruit is picked when."""
+def plot_harvest_plan(plan: HarvestPlan, path: str | Path) -> None:
+    """Draws one picture (PNG) of the row from the robot and from above: how the tip moves, and when each fruit is picked. Host."""
     from matplotlib.figure import Figure
 
     paths = _paths(plan)

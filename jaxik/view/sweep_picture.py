@@ -66,12 +66,12 @@ def variant_map(group: Any, index: tuple[int, ...]) -> Map:
     return Map(positions, share, read("reason"), read("limit_margin"), axes)
 
 
-def plot_sweep(path: str | Path, out: str | Path, scene: Scene | None = None) -> None:
-    """One picture (PNG) of the store at `path`: slices of the variant that reaches most, and the study's `scene` in them; what
-    became of its targets, what was missed, and the variants beside each other."""
+def plot_sweep(store: str | Path, path: str | Path, *, scene: Scene | None = None) -> None:
+    """Draws one picture (PNG) of a sweep's `store`: slices of the variant that reaches most, with the study's `scene`; what
+    became of its targets, what was missed, and the variants beside each other. Host."""
     from matplotlib.figure import Figure
 
-    group = open_store(path)
+    group = open_store(store)
     every = shares(group)
     best = tuple(int(i) for i in np.unravel_index(np.argmax(every), every.shape))
     shown = variant_map(group, best)
@@ -93,7 +93,7 @@ def plot_sweep(path: str | Path, out: str | Path, scene: Scene | None = None) ->
     reached = f"the arm reaches {np.mean(shown.reason == Reason.SOLVED):.1%} of {len(shown.reason):,} targets"
     title = ", with ".join(filter(None, (f"{group.attrs['title']}: {reached}", variant_label(group, best))))
     head.text(0.5, 0.4, title, ha="center", va="center", weight="bold", size=15, color=INK)
-    figure.savefig(out, dpi=110, format="png")
+    figure.savefig(path, dpi=110, format="png")
 
 
 def categories(shown: Map) -> tuple[np.ndarray, list[tuple[str, str]]]:

@@ -123,7 +123,7 @@ def test_a_place_has_its_best_direction(store, tmp_path):
     found, kinds = categories(turned)
     words = [kinds[k][0] for k in found[:-1]]
     assert words[0] == "reachable from some directions" and set(words[1:]) == {"would hit something"} and found[-1] == -1
-    plot_sweep(store, tmp_path / "row.png", jaxik.load_scene("cucumber_row"))
+    plot_sweep(store, tmp_path / "row.png", scene=jaxik.load_scene("cucumber_row"))
     assert (tmp_path / "row.png").read_bytes()[:4] == b"\x89PNG"
 
 
