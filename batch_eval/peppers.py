@@ -102,7 +102,7 @@ def followed(robot: jaxik.Robot, poses: list[np.ndarray]) -> np.ndarray:
     around = scene()
 
     def cost(q: Any) -> Any:
-        near = collision_cost(jnp.minimum(link_clearances(robot, around, q), 1.0), ACTIVATION, MOST)
+        near = collision_cost(jnp.minimum(link_clearances(robot, around, q), 1.0), activation=ACTIVATION, maximum=MOST)
         return jnp.sum(near) + 5.0 * joint_limit_cost(robot, q, soft=0.2)
 
     paths = jax.tree_util.tree_map(lambda *x: np.stack(x), *(Curve(each) for each in poses))

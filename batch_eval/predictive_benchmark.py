@@ -100,7 +100,7 @@ def oracle(count: int = 200) -> dict[str, float]:
     horizon, rng = case.horizon(count * case.DT), np.random.default_rng(0)
     ahead = future(case.path(robot), case.DURATION, horizon, 1.5)
     plan = 0.3 * rng.normal(size=(count, robot.num_joints))
-    cost = jaxik.costs.quadratic_cost(case.position_cost(robot), velocity=case.VELOCITY, effort=case.EFFORT)
+    cost = jaxik.costs.quadratic_cost(position=case.position_cost(robot), velocity=case.VELOCITY, effort=case.EFFORT)
     goal = objective(robot, cost, horizon, jnp.asarray(case.START), ahead, (), jnp.zeros(robot.num_joints))
     total, run = jax.jit(goal.value)(plan)
     gradient = case.DT * np.asarray(jax.jit(goal.gradient)(plan, run))
@@ -114,7 +114,7 @@ def oracle(count: int = 200) -> dict[str, float]:
 def scenarios(count: int = 256) -> list[dict[str, Any]]:
     """So many starts in one call, beside one alone; float32."""
     arm = pendulum.arm()
-    path, cost = pendulum.path(arm), jaxik.costs.quadratic_cost(pendulum.position_cost(arm))
+    path, cost = pendulum.path(arm), jaxik.costs.quadratic_cost(position=pendulum.position_cost(arm))
     starts = pendulum.START + 0.05 * np.random.default_rng(0).normal(size=(count, 4))
     rows = []
     for name, descend in {
@@ -142,7 +142,7 @@ def optimum() -> dict[str, Any]:
     """The pendulum's optimum by the text's count, and at a sample time that hardly matters by four solvers."""
     arm = pendulum.arm()
     path, near = pendulum.path(arm), pendulum.position_cost(arm)
-    cost = jaxik.costs.quadratic_cost(near)
+    cost = jaxik.costs.quadratic_cost(position=near)
     exact = dataclasses.replace(jaxik.optimise.QUASI_NEWTON, tolerance=1e-13, iterations=3000)
     text = pendulum.horizon(exact)
     many = jaxik.predict(arm, path, 4.0, pendulum.START, cost, options=text, starts=1000)

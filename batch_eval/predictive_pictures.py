@@ -51,7 +51,7 @@ def pendulum_motions() -> list[Shown]:
     arm = pendulum.arm()
     path, near = pendulum.path(arm), pendulum.position_cost(arm)
     now = jaxik.follow(arm, path, pendulum.DURATION, pendulum.START, cost=near, options=pendulum.INSTANTANEOUS)
-    cost = jaxik.costs.quadratic_cost(near)
+    cost = jaxik.costs.quadratic_cost(position=near)
     ahead = jaxik.predict(arm, path, pendulum.DURATION, pendulum.START, cost, options=pendulum.horizon())
     return [
         Shown("instantaneous", GREY, pendulum.DT, now.q[:-1], now.velocity[:-1]),
@@ -114,7 +114,7 @@ def convergence(kind: str) -> Any:
     """Fig. 5.3 (`"direction"`, with a fixed step) or 5.4 (`"search"`, straight down): the cost and beta or alpha by iterations,
     in the text's own way, without restarts."""
     arm = pendulum.arm()
-    path, cost = pendulum.path(arm), jaxik.costs.quadratic_cost(pendulum.position_cost(arm))
+    path, cost = pendulum.path(arm), jaxik.costs.quadratic_cost(position=pendulum.position_cost(arm))
     solve = lambda how: jaxik.predict(arm, path, pendulum.DURATION, pendulum.START, cost, options=pendulum.horizon(how))
     best = float(solve(jaxik.optimise.QUASI_NEWTON).total) / pendulum.DT
     names = [n for n in get_args(Direction if kind == "direction" else Search) if n != "lbfgs"]

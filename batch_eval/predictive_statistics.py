@@ -36,10 +36,10 @@ PERCENTILES = [5, 25, 50, 75, 95]
 
 def configuration_cost(q: Any) -> Any:
     """(5.42), (5.43) with table 5.2's weights."""
-    return 0.5 * jaxik.costs.comfort_cost(ARM, q) + jaxik.costs.joint_limit_cost(ARM, q, 0.25)
+    return 0.5 * jaxik.costs.comfort_cost(ARM, q) + jaxik.costs.joint_limit_cost(ARM, q, soft=0.25)
 
 
-COST = jaxik.costs.quadratic_cost(configuration_cost)
+COST = jaxik.costs.quadratic_cost(position=configuration_cost)
 
 
 def settings(count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -52,7 +52,7 @@ def position_cost(robot: jaxik.Robot) -> Callable[[Any], Any]:
 
     def cost(q: Any) -> Any:
         depth = jnp.maximum(NEAR - link_clearances(robot, None, q), 0.0)
-        return LIMITS * jaxik.costs.joint_limit_cost(robot, q, SOFT) + STEEP / 3.0 * jnp.sum(depth**3)
+        return LIMITS * jaxik.costs.joint_limit_cost(robot, q, soft=SOFT) + STEEP / 3.0 * jnp.sum(depth**3)
 
     return cost
 
@@ -63,7 +63,7 @@ def horizon(seconds: float) -> PredictOptions:
 
 def controller(robot: jaxik.Robot, seconds: float) -> PredictiveController:
     """One iteration a sample."""
-    cost = jaxik.costs.quadratic_cost(position_cost(robot), velocity=VELOCITY, effort=EFFORT)
+    cost = jaxik.costs.quadratic_cost(position=position_cost(robot), velocity=VELOCITY, effort=EFFORT)
     return PredictiveController(robot, cost, options=horizon(seconds))
 
 

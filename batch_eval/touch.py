@@ -65,7 +65,7 @@ def reaction(scheme: str, **changes: Any) -> Reaction:
     """By table 4.1; 20 instead of 5 scales joint limits on the acceleration level."""
     soft = np.r_[0.3, np.full(8, np.radians(30.0))] / (model().upper - model().lower)
     alpha = 20.0 if scheme == "rac" else 5.0
-    cost = lambda q: jaxik.costs.joint_limit_cost(model(), q, soft)
+    cost = lambda q: jaxik.costs.joint_limit_cost(model(), q, soft=soft)
     how = {"stiffness": StiffnessEstimator(start=STIFFNESS)} | changes
     return Reaction(model(), scheme, weights=WEIGHTS, cost=cost, alpha=alpha, **how)
 

@@ -265,7 +265,7 @@ def predictive() -> None:
     near = lambda q: 500.0 / 3.0 * jnp.maximum(0.2 - jaxik.clearance(arm, scene, q), 0.0) ** 3
     now = jaxik.follow(arm, path, 4.0, q, cost=near, dt=0.01, alpha=0.1, task=task)
     best = jaxik.optimise.QUASI_NEWTON
-    ahead = jaxik.predict(arm, path, 4.0, q, quadratic_cost(near), dt=0.01, count=400, task=task, descend=best)
+    ahead = jaxik.predict(arm, path, 4.0, q, quadratic_cost(position=near), dt=0.01, count=400, task=task, descend=best)
     figure, axes = plt.subplots(1, 3, figsize=(11, 4), width_ratios=(1, 1, 1.3))
     places = jax.vmap(lambda q: jaxik.kinematics.link_frames(arm, q)[:, :3, 3])
     tip = jax.vmap(lambda q: jaxik.forward_kinematics(arm, q)[:3, 3])

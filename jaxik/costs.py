@@ -51,7 +51,7 @@ def check_cost(who: str, cost: Cost, n: int) -> None:
 
 
 def collision_cost(
-    clearance: Float[Array, "*b"] | float, activation: float, maximum: float = 1.0, *, order: int = 3
+    clearance: Float[Array, "*b"] | float, *, activation: float, maximum: float = 1.0, order: int = 3
 ) -> Float[Array, "*b"]:
     """`H_coll = H_max ((d_a - d) / d_a)^order` for `d < d_a`, else 0: `maximum` at d = 0, and more in depth. Traced.
 
@@ -61,7 +61,7 @@ def collision_cost(
     return maximum * (jnp.maximum(activation - jnp.asarray(clearance), 0.0) / activation) ** order
 
 
-def comfort_cost(robot: Robot, q: Float[Array, " n"], comfort: Float[Array, " n"] | None = None) -> Float[Array, ""]:
+def comfort_cost(robot: Robot, q: Float[Array, " n"], *, comfort: Float[Array, " n"] | None = None) -> Float[Array, ""]:
     """`H_cmf = 1/2 sum (q_i - q_cmf,i)^2 / (q_max,i - q_min,i)^2`, `comfort` is the middle of the range unless given. Traced.
 
     A joint without limits has a range of 2 pi about 0. Source: Schuetz 2017, (4.25).
@@ -72,7 +72,7 @@ def comfort_cost(robot: Robot, q: Float[Array, " n"], comfort: Float[Array, " n"
     return 0.5 * jnp.sum(((q - jnp.asarray(target, q.dtype)) / jnp.asarray(upper - lower, q.dtype)) ** 2)
 
 
-def joint_limit_cost(robot: Robot, q: Float[Array, " n"], soft: float = 0.1, order: int = 3) -> Float[Array, ""]:
+def joint_limit_cost(robot: Robot, q: Float[Array, " n"], *, soft: float = 0.1, order: int = 3) -> Float[Array, ""]:
     """`H_jla = sum ((q_i - q_soft,i) / (q_lim,i - q_soft,i))^order` beyond the soft limits: 0 there, 1 at the limits. Traced.
 
     The soft limits lie inside the hard ones by the share `soft` of the range. Order 3 keeps accelerations continuous. Joints
@@ -110,7 +110,7 @@ def joint_limit_margin(robot: Robot, q: Float[Array, " n"]) -> Float[Array, ""]:
     return jnp.min(jnp.where(counted, share, 1.0))
 
 
-def quadratic_cost(position: Callable[..., Any] | None = None, *, velocity: float = 2.0, effort: float = 2.0) -> RunningCost:
+def quadratic_cost(*, position: Callable[..., Any] | None = None, velocity: float = 2.0, effort: float = 2.0) -> RunningCost:
     """The running cost `l = H(q) + velocity/2 qdot'qdot + effort/2 w'w` of a motion. Traced. Source: Schuetz 2017,
     (5.11)-(5.14).
 
@@ -126,8 +126,8 @@ def quadratic_cost(position: Callable[..., Any] | None = None, *, velocity: floa
 
 def energy_cost(
     robot: Robot,
-    position: Callable[..., Any] | None = None,
     *,
+    position: Callable[..., Any] | None = None,
     kinetic: float = 1.0,
     holding: float = 0.0,
     torque: Any = 1.0,

@@ -29,7 +29,7 @@ def test_collision_cost_is_twice_smooth():
 
 def test_collision_cost_of_first_order_is_linear():
     """(6) of Van Henten et al. 2010, outside of contact."""
-    values = [float(costs.collision_cost(d, 0.075, order=1)) for d in (0.0, 0.0375, 0.075, 1.0)]
+    values = [float(costs.collision_cost(d, activation=0.075, order=1)) for d in (0.0, 0.0375, 0.075, 1.0)]
     assert np.allclose(values, (1.0, 0.5, 0.0, 0.0), atol=1e-15)
 
 

@@ -86,7 +86,7 @@ def global_search(
     def objective(q: Any) -> Any:
         total = jnp.sum(missed(q) ** 2)
         if scene is not None:
-            total += jnp.minimum(jaxik.costs.collision_cost(jaxik.clearance(robot, scene, q), 0.075, order=1), 1.0)
+            total += jnp.minimum(jaxik.costs.collision_cost(jaxik.clearance(robot, scene, q), activation=0.075, order=1), 1.0)
         if boxes is not None:
             total += box_penalty(link_circles(robot, q), *boxes)
         return total

@@ -200,7 +200,7 @@ def _beside(robot: Robot, goal: Goal, q: Any, around: Any, scale: float) -> tupl
         apart, slopes = link_contacts(robot, scene, q)
         apart = jnp.minimum(apart, 1e3) - margin  # infinite for a link with nothing to hit
     if goal.collision == "penalty":
-        penalty = lambda d: goal.penalty * jnp.sum(collision_cost(d, goal.activation))
+        penalty = lambda d: goal.penalty * jnp.sum(collision_cost(d, activation=goal.activation))
         more, rise = jax.value_and_grad(penalty)(apart)
         cost, gradient = add(cost, more), [add(g, jnp.sum(rise * slope)) for g, slope in zip(gradient, slopes, strict=True)]
     if goal.collision == "constraint":

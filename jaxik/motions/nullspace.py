@@ -198,7 +198,7 @@ class TaskAt:
         return asked + gains[1] * slow - gains[0] * self.error - bias
 
     def _components(self, what: str, twist: Any) -> Any:
-        """Of a twist (6,) in base axes those that the task binds (m,)."""
+        """The components (m,) of a twist (6,) in base axes that the task binds."""
         twist = as_shaped(what, twist, (6,)).astype(self.dtype)
         return jnp.asarray(self.task.rows([tuple(twist)], self.target))[:, 0]
 

@@ -205,7 +205,7 @@ def predict(
     progress: Progress | None = None,
     **changes: Any,
 ) -> PredictResult:
-    """Finds the null-space motion from q (n,) along `path`, timed over `duration` [s], that costs least within the how.
+    """Finds the null-space motion from q (n,) along `path`, timed over `duration` [s], that costs least within the horizon.
     Traced.
 
     It is judged as far as the horizon goes, `count` samples, which may end before the path does.

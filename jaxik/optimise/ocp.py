@@ -31,8 +31,8 @@ Integrator = Literal["euler", "runge_kutta"]
 
 
 class Problem(NamedTuple):
-    """`step(y, w, p) -> (y, v, seen)` over `dt` [s], where `seen` is what is to be recorded besides; `cost(y, v, w, p)` per
-    second, asked on the way if `many` scenarios share the program, else of all samples at once."""
+    """An optimal control problem: `step(y, w, p) -> (y, v, seen)` over `dt` [s], where `seen` is recorded besides, and
+    `cost(y, v, w, p)` per second, asked on the way if `many` scenarios share the program, else of all samples at once."""
 
     step: Callable[..., Any]
     cost: Callable[..., Any]
@@ -52,7 +52,7 @@ class Run(NamedTuple):
 
 
 def roll_out(problem: Problem, y: Any, w: Any, p: Any) -> Run:
-    """From y along the inputs w (N, m)."""
+    """Rolls the states out from y along the inputs w (N, m)."""
 
     def advance(y: Any, now: Any) -> Any:
         after, v, seen = problem.step(y, *now)
@@ -66,8 +66,8 @@ def roll_out(problem: Problem, y: Any, w: Any, p: Any) -> Run:
 
 
 def totals_along(problem: Problem, y: Any, w: Any, s: Any, alphas: Any, p: Any) -> Any:
-    """L (k,) of the inputs `w + alpha s`, each from its state of y (k, ..): side by side in one kernel, whose turns would else
-    wait for one chain of operations."""
+    """The L (k,) of the inputs `w + alpha s`, each from its state of y (k, ..): side by side in one kernel, whose turns would
+    else wait for one chain of operations."""
     cost = kernel(problem.cost)  # a batch of it is written out, whatever it is
 
     def advance(y: Any, now: Any) -> Any:
@@ -103,19 +103,19 @@ def gradient(problem: Problem, run: Run, w: Any, p: Any) -> tuple[Any, Any]:
 
 
 def head(states: Any) -> Any:
-    """All states (N+1, ..) but the last."""
+    """The states (N+1, ..) without the last."""
     return jax.tree_util.tree_map(lambda a: a[:-1], states)
 
 
 def sample(tree: Any, i: Any) -> Any:
-    """Number i, or those numbers, of what has one entry a sample."""
+    """The entry i, or the entries of those numbers, of a tree that has one entry a sample."""
     return jax.tree_util.tree_map(lambda a: a[i], tree)
 
 
 def integrator(name: str, field: Callable[..., Any], dt: float) -> Callable[..., Any]:
-    """Of a `field(x, u, p) -> (f, seen)` a step that gives the next x, f, and what was seen at its start; u is held.
+    """The step of a `field(x, u, p) -> (f, seen)`, which gives the next x, f, and what was seen at its start; u is held.
 
-    By explicit Euler, `x + dt f(x, u, p_0)`, or by the classic Runge-Kutta of fourth order; p holds the samples of one step, at
+    It is explicit Euler, `x + dt f(x, u, p_0)`, or the classic Runge-Kutta of fourth order; p holds the samples of one step, at
     its start, its middle and its end. The stages of the latter are turns of a loop: written out, they would compile four times,
     and their derivatives too.
     """

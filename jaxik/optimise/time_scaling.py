@@ -42,13 +42,13 @@ def fastest(curve: Any, lengths: Any, velocity: Any, acceleration: Any, *rows: A
     parts_of_all = jnp.arange(len(lengths) * parts)  # one loop, or a short one in it would be written out
 
     def part(i: Any) -> Any:
-        """Its length and its rows."""
+        """The length of part i and its rows."""
         piece = i // parts
         h = lengths[piece] / parts
         return h, _rows(curve[piece], (i - piece * parts) * h, h, velocity, acceleration, [x[i] for x in rows])
 
     def back(beyond: Any, i: Any) -> Any:
-        """From the greatest x behind a part and the direction there, that of the next part which has a length."""
+        """The greatest x at a part's beginning and the direction there, from those behind it."""
         after, direction = beyond
         piece = i // parts
         h, row = part(i)
@@ -75,7 +75,7 @@ def _slope(c: Any, s: Any) -> Any:
 
 
 def _rows(c: Any, s: Any, h: Any, velocity: Any, acceleration: Any, more: Any) -> Any:
-    """From s to s + h: `low <= p u + r x <= high`, p > 0, with `more` of them, and the greatest x by the velocities."""
+    """The rows from s to s + h, `low <= p u + r x <= high`, p > 0, with `more` of them; the greatest x by the velocities."""
     first, last = _slope(c, s), _slope(c, s + h)
     bend_first, bend_last = (6.0 * c[0] * at + 2.0 * c[1] for at in (s, s + h))
     middle = first + 0.5 * h * bend_first
@@ -105,7 +105,7 @@ def _greatest(row: Any, h: Any, top: Any) -> Any:
     across = 0.5 / jnp.where(h > 0.0, h, 1.0)
 
     def room(x: Any) -> Any:
-        """That, how it changes with x, and what rounding may have made of it."""
+        """The room of u, its derivative by x, and a bound of the rounding error."""
         upper, lower = ceiling + slope * x, floor + slope * x
         least, greatest = jnp.min(upper), jnp.max(lower)
         steep_upper = jnp.max(jnp.where(upper <= least, slope, -jnp.inf))

@@ -92,7 +92,7 @@ def _collision_cost(robot: Robot, scene: Scene | None, q: Any, options: Trajecto
     @kernel
     def each(q: Any) -> Any:
         near = ((jnp.minimum(link_clearances(part, around, q), 1e3), at) for part, around, at in terms.parts)
-        return sum(jnp.sum(collision_cost(d, at, maximum)) for d, at in near)
+        return sum(jnp.sum(collision_cost(d, activation=at, maximum=maximum)) for d, at in near)
 
     return options.collision_weight * weight @ jax.vmap(each)(q)
 

@@ -104,7 +104,7 @@ class Steering:
 
         def cost(q: Any) -> Any:
             total = costs.joint_limit_cost(robot, q) + 0.05 * costs.comfort_cost(robot, q)
-            return total if blind else total + costs.collision_cost(clearance(robot, scene, q), SHELL)
+            return total if blind else total + costs.collision_cost(clearance(robot, scene, q), activation=SHELL)
 
         mapping, margin = PositionControl(smoothing=0.08, fastest=0.5, turning=1.5), None if blind else MARGIN
         quick: dict[str, Any] = {"dt": PERIOD, "gain": 10.0, "acceleration": 10.0, "leash": 0.1}

@@ -58,8 +58,8 @@ def _costs(q):
         jaxik.costs.joint_limit_cost(ARM, q) + 0.1 * jaxik.costs.comfort_cost(ARM, q),
         jaxik.costs.damping_cost(q),
         jaxik.costs.joint_limit_margin(ARM, q),
-        jaxik.costs.collision_cost(q[0], 0.075, order=1),
-        jaxik.costs.collision_cost(q[1], 0.5),
+        jaxik.costs.collision_cost(q[0], activation=0.075, order=1),
+        jaxik.costs.collision_cost(q[1], activation=0.5),
     ]
     return jnp.stack([jnp.asarray(t, q.dtype) for t in terms])
 

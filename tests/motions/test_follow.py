@@ -157,7 +157,7 @@ def hidden_obstacle(q, *given):
 
 def test_a_moving_horizon(pendulum, to):
     """Velocity is continuous, the arm rests behind the path's end, and obstacles and targets move without a compiler."""
-    control = PredictiveController(pendulum, quadratic_cost(hidden_obstacle), dt=0.04, count=25, task=IN_PLANE)
+    control = PredictiveController(pendulum, quadratic_cost(position=hidden_obstacle), dt=0.04, count=25, task=IN_PLANE)
     at = lambda x: jaxik.make_scene(points=[[x, 1.1, 0.0]])
     found = control.follow(to(0.5, 0.0), 4.0, START, given=lambda t: at(1.0 + 0.05 * t), until=6.0)
     assert found.reason == Reason.SOLVED and np.abs(found.error).max() < 0.01
@@ -177,7 +177,7 @@ def test_velocity_level_jumps(pendulum, to):
     """Fig. 5.9: where the plan's input is the velocity itself it jumps from rest, as that of acceleration level does not.
 
     And qdot leads from sample to sample, whatever the integrator."""
-    cost = quadratic_cost(lambda q: 2.0 * jnp.sum((q - 0.3) ** 2))
+    cost = quadratic_cost(position=lambda q: 2.0 * jnp.sum((q - 0.3) ** 2))
     how = {"level": "velocity", "integrator": "runge_kutta", "task": IN_PLANE}
     control = PredictiveController(pendulum, cost, dt=0.04, count=25, **how)
     found = control.follow(to(0.5, 0.0), 4.0, START, until=0.4)
@@ -224,7 +224,7 @@ def test_no_motion_is_solved_that_joints_are_too_slow_for(pendulum, slow, to):
 
 
 def test_a_cost_that_is_no_number_is_invalid(pendulum, to):
-    for found in judged_motions(pendulum, to(0.9, 3.7), quadratic_cost(lambda q: jnp.nan * q[0])):
+    for found in judged_motions(pendulum, to(0.9, 3.7), quadratic_cost(position=lambda q: jnp.nan * q[0])):
         assert found.reason == Reason.INVALID and found.sample == 0
     found = follow(pendulum, to(0.9, 3.7), 1.0, START, cost=lambda q: jnp.nan * q[0], dt=0.02, task=IN_PLANE)
     assert found.reason == Reason.INVALID

@@ -279,9 +279,9 @@ def test_accelerations_follow_without_drift(panda):
 
 COSTS = {
     "velocity and effort": lambda pendulum: quadratic_cost(),
-    "collision": lambda pendulum: quadratic_cost(lambda q: 500.0 * near_obstacle(pendulum)(q)),
+    "collision": lambda pendulum: quadratic_cost(position=lambda q: 500.0 * near_obstacle(pendulum)(q)),
     "limits and comfort": lambda pendulum: quadratic_cost(
-        lambda q: jaxik.costs.joint_limit_cost(pendulum, q, 0.25) + 0.5 * jaxik.costs.comfort_cost(pendulum, q)
+        position=lambda q: jaxik.costs.joint_limit_cost(pendulum, q, soft=0.25) + 0.5 * jaxik.costs.comfort_cost(pendulum, q)
     ),
     "of time": lambda pendulum: lambda q, qdot, w, t: jnp.sum(q**2) * t + jnp.sum(qdot**4) + jnp.sum(jnp.cos(w)),
 }
@@ -333,7 +333,7 @@ def test_the_adjoint_equations_of_the_text(pendulum, line):
     "direction, search", [("fletcher_reeves", "polynomial"), ("steepest", "backtracking"), ("hager_zhang", "fixed")]
 )
 def test_looking_ahead_beats_the_moment(direction, search, pendulum, line):
-    cost = quadratic_cost(lambda q: 500.0 * near_obstacle(pendulum)(q))
+    cost = quadratic_cost(position=lambda q: 500.0 * near_obstacle(pendulum)(q))
     step = 0.01 if search == "fixed" else 0.05
     horizon = PredictOptions(
         dt=0.04, count=100, task=IN_PLANE, gain=1.0, descend=DescentOptions(direction=direction, search=search, step=step)
@@ -379,7 +379,7 @@ def test_the_tip_is_held_unless_told_otherwise(dt, most, pendulum):
     start, end, count = np.array([1.0, 2.0 + np.sqrt(3.0)]), np.array([0.5, 0.0]), round(4.0 / dt)
     path = Line(*(pin.SE3(np.eye(3), np.array([*p, 0.0])).homogeneous for p in (start, end)))
     horizon = PredictOptions(dt=dt, count=count, task=IN_PLANE, descend=DescentOptions(iterations=5))
-    found = predict(pendulum, path, 4.0, START, quadratic_cost(lambda q: jnp.sum((q - 0.3) ** 2)), options=horizon)
+    found = predict(pendulum, path, 4.0, START, quadratic_cost(position=lambda q: jnp.sum((q - 0.3) ** 2)), options=horizon)
     x = np.linspace(0.0, 1.0, count + 1)[:, None]
     asked = start + (10.0 * x**3 - 15.0 * x**4 + 6.0 * x**5) * (end - start)  # Schuetz 2017, (5.40), (5.41)
     reached = np.array([pinocchio(pendulum)(q)[:2, 3] for q in np.asarray(found.q)])
@@ -402,7 +402,7 @@ def test_quasi_newton_finds_what_the_thesis_did_not(pendulum, line):
     """Fig. 5.2: the text's best is 46 + 2.7; by its count (sums over samples of 40 ms, 500 weighs the cost)."""
     collision = lambda q: 500.0 * near_obstacle(pendulum)(q)
     how = PredictOptions(dt=0.04, count=100, task=IN_PLANE, gain=1.0, descend=QUASI_NEWTON)
-    found = predict(pendulum, line, 4.0, START, quadratic_cost(collision), options=how)
+    found = predict(pendulum, line, 4.0, START, quadratic_cost(position=collision), options=how)
     speed, near = np.sum(np.asarray(found.velocity) ** 2), np.sum(jax.vmap(collision)(found.q[:-1]))
     assert speed + near < 46.0 + 2.7
     assert found.reason == jaxik.Reason.SOLVED
@@ -411,7 +411,7 @@ def test_quasi_newton_finds_what_the_thesis_did_not(pendulum, line):
 
 def test_scenarios_in_one_call_are_each_what_they_are_alone(pendulum, line):
     horizon = PredictOptions(dt=0.1, count=20, task=IN_PLANE, descend=DescentOptions(iterations=5))
-    cost = quadratic_cost(lambda q, weight: weight * 0.5 * jnp.sum((q - 0.3) ** 2))
+    cost = quadratic_cost(position=lambda q, weight: weight * 0.5 * jnp.sum((q - 0.3) ** 2))
     rng = np.random.default_rng(0)
     starts, weights, guesses = START + 0.1 * rng.normal(size=(3, 4)), np.array([0.0, 1.0, np.nan]), rng.normal(size=(3, 20, 4))
     many = predict(pendulum, line, 4.0, starts, cost, options=horizon, guess=guesses, given=weights, each=("guess", "given"))
@@ -439,7 +439,7 @@ def test_scenarios_in_one_call_are_each_what_they_are_alone(pendulum, line):
 
 def test_a_free_start_is_the_best_on_its_manifold(pendulum, line):
     """(5.4): the tip is where it was, the cost is less, and N lambda(0) = 0."""
-    cost = quadratic_cost(lambda q: 0.5 * jnp.sum((q - 0.3) ** 2))
+    cost = quadratic_cost(position=lambda q: 0.5 * jnp.sum((q - 0.3) ** 2))
     horizon = PredictOptions(
         level="velocity", integrator="runge_kutta", task=IN_PLANE, descend=dataclasses.replace(QUASI_NEWTON, tolerance=1e-12)
     )
@@ -468,7 +468,7 @@ def test_many_starts_put_what_is_solved_first():
         task=jaxik.Task.pose(("y", "z", "roll", "pitch", "yaw"), axes="base"),
         descend=DescentOptions(iterations=1),
     )
-    cost = quadratic_cost(lambda q: 9.0 * (q[1] - 3.0) ** 2)
+    cost = quadratic_cost(position=lambda q: 9.0 * (q[1] - 3.0) ** 2)
     found = predict(robot, path, 1.0, start, cost, options=horizon, starts=16, spread=4.0)
     assert 0 < found.success.sum() < 16 and np.all(np.diff(found.success.astype(int)) <= 0)
     assert found.total[~found.success].min() < found.total[0]

@@ -32,7 +32,7 @@ def line(pendulum):
 
 def test_a_free_start_is_that_of_the_descent(pendulum, line):
     """(5.4), to the samples' length."""
-    cost = quadratic_cost(lambda q: 0.5 * jnp.sum((q - 0.3) ** 2))
+    cost = quadratic_cost(position=lambda q: 0.5 * jnp.sum((q - 0.3) ** 2))
     descend = dataclasses.replace(jaxik.optimise.QUASI_NEWTON, tolerance=1e-12)
     horizon = PredictOptions(
         count=200, level="velocity", integrator="runge_kutta", task=IN_PLANE, descend=descend, free_start=True

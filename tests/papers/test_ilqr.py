@@ -33,7 +33,7 @@ def line(pendulum):
 
 
 def test_ilqr_agrees_and_keeps_its_bounds(pendulum, line):
-    cost = quadratic_cost(lambda q: 2.0 * jnp.sum((q - 0.3) ** 2))
+    cost = quadratic_cost(position=lambda q: 2.0 * jnp.sum((q - 0.3) ** 2))
     horizon = PredictOptions(dt=0.1, count=20, task=IN_PLANE, descend=dataclasses.replace(QUASI_NEWTON, tolerance=1e-13))
     quasi = predict(pendulum, line, 2.0, START, cost, options=horizon)
     control, ahead = problem(pendulum, cost, horizon), future(line, 2.0, horizon)

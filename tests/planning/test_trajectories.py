@@ -307,7 +307,9 @@ def test_a_link_sees_what_is_behind_its_neighbour():
     np.testing.assert_allclose(slope, (most.cost - least.cost) / 2e-4, rtol=1e-2)
     beside, alone = post(z - 0.05), dataclasses.replace(robot, self_pairs=())
     near = lambda q: jnp.concatenate([link_clearances(robot, None, q), link_clearances(alone, beside, q)])
-    each = jax.vmap(lambda q: collision_cost(near(q), 0.1).sum())(sampled(found.trajectory, np.linspace(0.0, 2.0, 25)).q)
+    each = jax.vmap(lambda q: collision_cost(near(q), activation=0.1).sum())(
+        sampled(found.trajectory, np.linspace(0.0, 2.0, 25)).q
+    )
     np.testing.assert_allclose(found.parts[3], 10.0 * np.trapezoid(each, dx=2.0 / 24), rtol=1e-6)
     kept = options | {"collision": "constraint", "rounds": 9}
     held = optimise_trajectory(robot, start, goal, scene=beside, **kept)  # a margin, too, of each by itself
