@@ -1,4 +1,4 @@
-"""What is in collision whatever the joints do, and what is ignored that is not there: told once, before a search."""
+"""Warns, before a search, of pairs that collide whatever the joints do, and of ignored objects that are not there."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ KNOWN = 64  # robots and margins of which a scene remembers what stands in it
 
 def warn_of_scene(who: str, robot: Robot, scene: Scene, margin: float, *others: Robot) -> None:
     """Warns, in the name of the driver `who` and at its caller's line, of the first pair that collides in every configuration,
-    and of an object that is ignored and is in the scene by a name that is nearly its own. Of several robots it tells of the
-    first of which there is something to tell, and of how many there is."""
+    and of an object that is ignored and is in the scene by a name that is nearly its own. With several robots it tells of the
+    first that has any of these, and how many have."""
     if robot.concrete and scene.concrete:
         asked = (robot, *others)[:ASKED]
         told = [lines for each in asked if (lines := scene_words(each, scene, margin))]
@@ -29,12 +29,12 @@ def warn_of_scene(who: str, robot: Robot, scene: Scene, margin: float, *others: 
 
 
 def scene_words(robot: Robot, scene: Scene, margin: float) -> list[str]:
-    """What there is to be told, a line each."""
+    """The warnings, a line each."""
     return [*standing_words(robot, scene, margin), *_misspelt(robot, scene)]
 
 
 def standing_words(robot: Robot, scene: Scene, margin: float) -> list[str]:
-    """In words, the deepest of the pairs that cannot move apart and come nearer than `margin` [m]; none without one."""
+    """Words on the deepest of the pairs that cannot move apart and come nearer than `margin` [m]; none without such a pair."""
     known = remembered(scene, "standing", dict)
     if (robot, margin) not in known:
         if len(known) >= KNOWN:
@@ -65,7 +65,7 @@ def standing(robot: Robot, scene: Scene, margin: float) -> tuple[Contact, ...]:
 
 
 def _misspelt(robot: Robot, scene: Scene) -> list[str]:
-    """In words, each object that is ignored, is not there, and has nearly the name of one that is and is not ignored."""
+    """Words on each ignored object that is not there, and has nearly the name of one that is there and not ignored."""
     told = []
     for link, name in robot.ignored:
         others = [each for each in scene.object_names if (link, each) not in robot.ignored]

@@ -1,4 +1,4 @@
-"""What is grasped becomes part of the robot: it moves with the last joint, and is no obstacle any more."""
+"""Makes what is grasped part of the robot: it moves with the last joint, and is no obstacle any more."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Attached(NamedTuple):
 
 
 def attach(robot: Robot, scene: Scene, name: str, q: Float[Array, " n"], *, touches: Iterable[str] = ()) -> Attached:
-    """The object `name`, as it lies when the robot is at `q` (n,) [rad, m], made a link of that name which moves with the last
-    joint; and the scene without it (`Scene.without`: its name stays in `object_names`). Host.
+    """Makes the object `name`, as it lies when the robot is at `q` (n,) [rad, m], a link of that name which moves with the last
+    joint; and returns the scene without it (`Scene.without`: its name stays in `object_names`). Host.
 
     Points become balls of the scene's radius; spheres and capsules stay what they are; boxes become boxes of the robot, which
     `spheres_per_box` spheres cover; a cylinder is carried as a capsule up to 42 % of its radius larger, the one about it that
@@ -84,7 +84,7 @@ def _links(robot: Robot, names: Iterable[str]) -> set[int]:
 
 
 def _rows_of(scene: Scene, name: str) -> dict[str, np.ndarray]:
-    """Which obstacles of each kind are an object's."""
+    """The numbers of an object's obstacles, by kind."""
     index = scene.object_names.index(name)
     return {kind: np.flatnonzero((owners == index) & obstacles.there) for kind, obstacles, owners in scene.by_kind()}
 

@@ -36,12 +36,11 @@ LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many lea
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Obstacles:
-    """Those of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`, not
-    counted, and is one of the `count` that are there if b is less; `ignored[b]` are the `bits` of links that it does not
+    """Obstacles of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`,
+    not counted, and is one of the `count` that are there if b is less; `ignored[b]` are the `bits` of links that it does not
     count for, of a robot that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is. Where there may be solids
     of triangles, `bodies[b]` is how far those of branch b are out along -x, -y, -z, x, y, z, and how far their inside is from
-    their triangles at most, half the least extent [m].
-    """
+    their triangles at most, half the least extent [m]."""
 
     kind: str = static()
     rows: dict[str, Any]
@@ -159,8 +158,8 @@ def _obstacles(
 
 
 def _bodies(rows: dict[str, Any], owner: np.ndarray, there: np.ndarray, known: bool, xp: Any) -> Any:
-    """Of each triangle the `bodies` of `Obstacles` (k, 7), of an object's all together, -FAR where it is no solid's; None where
-    none is known to be."""
+    """The `bodies` of `Obstacles` (k, 7), a row a triangle, the same for all of an object's; -FAR where it is no solid's, None
+    where none is known to be."""
     solid, corners = rows["solid"] > 0.0, xp.stack([rows[name] for name in "abc"], axis=1)  # (k, 3, 3)
 
     def body(counts: Any) -> Any:
@@ -186,7 +185,7 @@ def _in_leaves(groups: list[np.ndarray], size: int, center: np.ndarray | None) -
 
 
 def _extent(rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
-    """Of each obstacle the centre (k, 3) and radius (k,) of a sphere around it."""
+    """The centres (k, 3) and radii (k,) of spheres around obstacles."""
     place, *more = (x for name, x in rows.items() if name not in SIZES_OF)
     if place.shape[1:] == (4, 4):
         square = xp.sum(rows["half"].reshape(len(place), -1) ** 2, axis=1)
@@ -202,7 +201,7 @@ def balls_of(corners: Any, radius: Any, xp: Any) -> tuple[Any, Any]:
 
 
 def around(center: Any, radius: Any, xp: Any = np) -> Balls:
-    """Of each group of balls (g, k, 3), (g, k) one around all."""
+    """One ball around each group of balls (g, k, 3), (g, k)."""
     reach = radius[..., None]
     middle = ((center + reach).max(axis=1) + (center - reach).min(axis=1)) / 2.0 if center.shape[1] > 1 else center[:, 0]
     away = xp.sqrt(xp.sum((center - middle[:, None]) ** 2, axis=-1)) + radius
@@ -210,7 +209,7 @@ def around(center: Any, radius: Any, xp: Any = np) -> Balls:
 
 
 def _joined(balls: Balls, first: np.ndarray, last: np.ndarray, xp: Any) -> Balls:
-    """Around runs of balls, from `first` to `last`, not counted; of none a ball far away."""
+    """Around runs of balls, from `first` to `last`, not counted; a ball far away around none."""
     rows = _runs(first, last)
     if not len(balls.radius):
         return Balls(np.full((len(first), 3), FAR), np.zeros(len(first)))
@@ -246,9 +245,11 @@ def by_place(points: np.ndarray, size: int) -> np.ndarray:
 
 
 class Volumes:
-    """Those with as many corners: leaves of `size` rows; part p has the leaves `first[p]` to `last[p]`, not counted.
+    """A robot's volumes with as many corners: leaves of `size` rows; part p has the leaves `first[p]` to `last[p]`, not
+    counted.
 
-    `corners` (v, c, 3) and `leaves` in the frames of `joint` (v,); `even`: whether the radii in a leaf are the same."""
+    `corners` (v, c, 3) and `leaves` in the frames of `joint` (v,); `even`: whether the radii in a leaf are the same.
+    """
 
     def __init__(self, robot: Robot, links: tuple[int, ...], corners: Any, radius: Any, link: np.ndarray):
         known, self.arity = is_known((corners, radius)), int(corners.shape[1])
@@ -309,7 +310,8 @@ def robot_trees(robot: Robot) -> RobotTrees:
 
 
 def pair_tables(robot: Robot) -> list[PairTable]:
-    """Those that speak of the links as they are; none where these are JAX arrays, which a kernel takes as operands."""
+    """The robot's tables that speak of its links as they are; none where these are JAX arrays, which a kernel takes as
+    operands."""
     measured = jax.tree_util.tree_leaves((robot.parent_T_joint, robot.axis, robot.volumes, robot.boxes))
     if not robot.pair_tables or any(isinstance(x, jax.Array) for x in measured):
         return []

@@ -101,8 +101,8 @@ def has_geometry(robot: Robot) -> bool:
 
 
 def check_geometry(robot: Robot) -> None:
-    """What drivers ask before they compile anything. Raises `ValueError` for a robot that has no shapes to collide with, or
-    NaN or infinity in the numbers by which it does, where these are known."""
+    """Checks a robot before anything is compiled. Raises `ValueError` for a robot that has no shapes to collide with, or NaN or
+    infinity in the numbers by which it does, where these are known."""
     if robot.unread_meshes:
         links = ", ".join(robot.unread_meshes[:5])
         raise ValueError(
@@ -176,7 +176,7 @@ def _collides(robot: Robot, around: Grouped, q: Any, margin: Any) -> Any:
 
 
 def _measured(robot: Robot, around: Grouped, q: Any, search: Callable[..., Any]) -> Any:
-    """What `search` finds, whose derivative by q is that of `Space.slopes`."""
+    """The distances that `search` finds, whose derivative by q is that of `Space.slopes`."""
     q = as_configuration(robot, q)
 
     def direct(around: Grouped, q: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What stands in a robot's way at one configuration, by name: on the host, for people.
+"""Tells by name, on the host, what stands in a robot's way at one configuration.
 
 `clearance` is one number; here are the pairs behind it. The point of a volume's skeleton that is nearest comes from the
 distance's own gradient: a step f along the shortest way raises the distance by |f|, and corner c of the skeleton carries the
@@ -85,14 +85,14 @@ class Nearby:
 
 
 def explain(robot: Robot, scene: Scene | None, q: Float[Array, " n"], *, count: int = 5, below: float = np.inf) -> Nearby:
-    """What is nearest to the robot at `q` (n,) [rad, m]: the `count` nearest pairs of a link with an object of the scene or
-    with another link, those nearer than `below` [m], and the `count` joints nearest to a limit; and which links overlap that
+    """Tells what is nearest to the robot at `q` (n,) [rad, m]: the `count` nearest pairs of a link with an object of the scene
+    or with another link, those nearer than `below` [m], and the `count` joints nearest to a limit; and which links overlap that
     are not checked against each other (`robot.unchecked`), but for neighbours, or objects that they ignore. Host.
 
-    Each pair of names stands once, at its least distance; the first pair's is `clearance`. Of a robot whose meshes decide
+    Each pair of names stands once, at its least distance; the first pair's is `clearance`. Where a robot's meshes decide
     (`load(.., exact=True)`), or their convex parts, distances are those of these, also where `clearance` is content with less;
-    where they cross, by how far its volumes do. A host function, in float64.
-    Raises `ValueError` for a robot without collision geometry, or a q of another shape or with NaN or infinity.
+    where they cross, by how far its volumes do. It computes in float64. Raises `ValueError` for a robot without collision
+    geometry, or a q of another shape or with NaN or infinity.
     """
     check_kind("explain", "scene", scene, Scene, optional=True)
     check_known("explain", robot=robot, scene=scene)
@@ -120,8 +120,8 @@ def explain(robot: Robot, scene: Scene | None, q: Float[Array, " n"], *, count: 
 
 
 def _overlapping(robot: Robot, q: np.ndarray, pairs: list[_Pairs]) -> list[tuple[float, int, int, int]]:
-    """Of each two names that overlap, the deepest row (`_nearest`): those whose volumes do, and of two links what decides where
-    volumes are near, too."""
+    """The deepest row (`_nearest`) of each two names that overlap: their volumes do, and if both are links, so does what
+    decides where volumes are near."""
     found = [row for row in _nearest(pairs, {}) if row[0] < 0.0]
     if not any(pairs[number].itself for _, number, *_ in found) or not own_in(grouped(None, robot)):
         return found
@@ -133,7 +133,7 @@ def _overlapping(robot: Robot, q: np.ndarray, pairs: list[_Pairs]) -> list[tuple
 
 
 def _by_own_shape(robot: Robot, scene: Scene | None, q: np.ndarray) -> Iterator[Contact]:
-    """Of a robot that knows more than its volumes, every pair of links, and of a link and an object, that counts."""
+    """Every pair of links, and of a link and an object, that counts, of a robot that has an own shape."""
     names: tuple[str, ...] = ()
     if scene is not None:  # what belongs to no object makes one
         owners = tuple(tuple(int(o) if o >= 0 else len(scene.object_names) for o in own) for _, _, own in scene.by_kind())
@@ -153,7 +153,7 @@ def _by_own_shape(robot: Robot, scene: Scene | None, q: np.ndarray) -> Iterator[
 
 @lru_cache(maxsize=64)
 def _every_contact(robot: Robot, objects: int) -> HostKernel:
-    """Of each pair of parts, and of each part and object, the distance, and where the two are nearest."""
+    """The distance of each pair of parts, and of each part and object, and where the two are nearest."""
 
     def contacts(q: Any, around: Grouped) -> Any:
         space = Space(robot, around, q, by_table=False)
@@ -191,7 +191,7 @@ class _Pairs:
         return _least(np.where(seen, apart, np.inf), owners, self.links) + np.array([0, block.start, 0])
 
     def told(self, what: int, other: Any, volume: Any) -> list[np.ndarray]:
-        """What a kernel says of pairs, given by their rows."""
+        """The results of a kernel for pairs, given by their rows."""
         (mine, ours), (beside, theirs) = map(jax.tree_util.tree_flatten, (self.volumes, self.others))
         rows = [*(np.asarray(x)[volume] for x in mine), *(np.asarray(x)[other] for x in beside)]
         return _kernels(self.gap, ours, theirs)[what](*rows)
@@ -232,7 +232,7 @@ def _crossings() -> HostKernel:
 
 
 def _with_scene(robot: Robot, scene: Scene | None, volumes: dict[int, Skeleton], ignored: bool = False) -> Iterator[_Pairs]:
-    """Of each link and object that count, or those that are `ignored`."""
+    """Measures links against objects: those that count, or those that are `ignored`."""
     if scene is None or (ignored and not robot.ignored):
         return
     meet = np.ones((len(scene.object_names) + 1, len(robot.link_names)), bool)  # the last for what has no name
@@ -250,7 +250,7 @@ def _with_scene(robot: Robot, scene: Scene | None, volumes: dict[int, Skeleton],
 
 
 def _with_itself(robot: Robot, volumes: dict[int, Skeleton], pairs: Iterable[tuple[int, int]]) -> Iterator[_Pairs]:
-    """Of each of some pairs of links the later one is the link, the earlier the other."""
+    """Measures some pairs of links: the later one is the link, the earlier the other."""
     meet = np.zeros((len(robot.link_names),) * 2, bool)
     for a, b in pairs:
         meet[a, b] = True
@@ -260,7 +260,7 @@ def _with_itself(robot: Robot, volumes: dict[int, Skeleton], pairs: Iterable[tup
 
 
 def _least(apart: np.ndarray, owners: np.ndarray, links: np.ndarray) -> np.ndarray:
-    """Of each owner and link the least distance, if it is finite, and where it stands: rows (distance, row, column)."""
+    """The least distance of each owner and link, if it is finite, and where it stands: rows (distance, row, column)."""
     names = (owners[:, None] + 1) * (links.max() + 1) + links  # an owner -1 is the scene
     least = np.full(names.max() + 1, np.inf)
     np.minimum.at(least, names, apart)
@@ -271,8 +271,8 @@ def _least(apart: np.ndarray, owners: np.ndarray, links: np.ndarray) -> np.ndarr
 
 @cache
 def _kernels(gap: Any, ours: Any, theirs: Any) -> tuple[HostKernel, HostKernel]:
-    """Of pairs in rows, given as the leaves of volumes and of others: the distance; and with it its derivative by each number
-    of the volume's corners. The same kernels for any number of them, which for XLA were programs of a second each."""
+    """Kernels of pairs in rows, given as the leaves of volumes and of others: of the distance; and of it with its derivative by
+    each number of the volume's corners. They serve any number of pairs; for XLA each number was a program of a second."""
     count = ours.num_leaves + theirs.num_leaves
 
     def apart(*leaves: Any) -> Any:

@@ -47,7 +47,7 @@ ROUNDING = 8.0  # what rounding may add to a clearance on the way, in units of i
 
 
 class MotionClearance(NamedTuple):
-    """What is proven of a motion; of a batch of motions each field has its leading axes.
+    """The proof of a motion; for a batch of motions each field has its leading axes.
 
     `clearance` is a bound from below over the motion [m]; where it is not free, over its part up to `contact`, and no more
     than the margin. Before the fraction `contact` (0 to 1) all of it is proven to be free; it is infinite where all of the
@@ -149,7 +149,7 @@ _sloped.defjvp(lambda primals, tangents: (primals[0], tangents[1]))
 
 
 class _Asked(NamedTuple):
-    """What the caller wants to know, see `motion_clearance`; `first`: any sample that touches will do."""
+    """The caller's question, see `motion_clearance`; `first`: any sample that touches will do."""
 
     margin: Any
     resolution: Any
@@ -203,8 +203,8 @@ def _advanced(
 
 
 def _asked_of(scene: Any, asked: _Asked) -> Any:
-    """What is around, for what is asked: a robot's own shape decides no further off than that, if that is known, and in any
-    case what is nearer than the margin. Of a margin below 0 volumes alone decide, whose depth does not jump."""
+    """Lets a robot's own shape decide no further off than is asked, where that is known, and in any case what is nearer than
+    the margin. With a margin below 0 volumes alone decide, whose depth does not jump."""
     precise = jnp.maximum(CLOSE, 2.0 * asked.resolution)
 
     def within(usual: float) -> Any:
@@ -216,7 +216,8 @@ def _asked_of(scene: Any, asked: _Asked) -> Any:
 
 
 def _ruler(robot: Robot, scene: Any, start: Any, goal: Any, extent: Any, margin: Any) -> tuple[Any, _Bounds]:
-    """What measures one configuration of the motion, less what rounding may have added, and the bounds of its rows."""
+    """The function that measures one configuration of the motion, less what rounding may have added, and the bounds of its
+    rows."""
     rows, moved = _rows(robot), goal - start
     bounds, tables = _row_bounds(robot, rows, start, goal), _table_speeds(robot, rows, start, goal, margin)
     short = ROUNDING * float(jnp.finfo(start.dtype).eps) * (extent + _size(robot, bounds.length, start, goal))
@@ -231,13 +232,13 @@ def _ruler(robot: Robot, scene: Any, start: Any, goal: Any, extent: Any, margin:
 
 
 class _Sight(NamedTuple):
-    """What a measured configuration tells of those around it, by how fast each row may change."""
+    """Bounds around a measured configuration, by how fast each row may change."""
 
     bounds: _Bounds
     asked: _Asked
 
     def level(self, least: Any) -> Any:
-        """What need not be looked at more closely: all above the least measured, to the resolution."""
+        """The distance above which nothing need be looked at more closely: the least measured, to the resolution."""
         return jnp.minimum(jnp.maximum(least - self.asked.resolution, self.asked.margin), self.asked.enough)
 
     def around(self, at: _Measured, least: Any) -> Any:
@@ -247,7 +248,7 @@ class _Sight(NamedTuple):
         return jnp.maximum(slow, gap / self.bounds.speed)
 
     def kept(self, at: _Measured, s: Any) -> Any:
-        """What is left of every row, s before or after."""
+        """The least distance that is left of all rows, s before or after."""
         fall = jnp.minimum(s * (at.speed + 0.5 * self.bounds.acceleration * s), self.bounds.speed * s)
         return jnp.min(at.apart - fall)
 
@@ -310,7 +311,7 @@ class _Row(NamedTuple):
 
 
 def _rows(robot: Robot) -> list[_Row]:
-    """Those of the later links of pairs; without any, of all against the scene."""
+    """The rows of the later links of pairs; without any pairs, those of all links against the scene."""
     joint = robot.link_joint
     if not robot.self_pairs:
         return [_Row(link, ((link, 0),)) for link in solid_links(robot)]
@@ -329,8 +330,8 @@ def _corners(robot: Robot, link: int) -> Any:
 
 
 class _Bounds(NamedTuple):
-    """Of what moves in a row, over the whole motion: the speed V, the acceleration a, both by fractions of the motion, and how
-    far any of it is from an axis."""
+    """Bounds of what moves in a row, over the whole motion: the speed V, the acceleration a, both by fractions of the motion,
+    and how far any of it is from an axis."""
 
     speed: Any
     acceleration: Any
@@ -362,7 +363,7 @@ def _bounds(robot: Robot, link: int, other: int, turned: list[Any], travel: list
 
 
 def _row_bounds(robot: Robot, rows: list[_Row], start: Any, goal: Any) -> _Bounds:
-    """Of each row (k,), the largest of what moves in it."""
+    """The largest bounds of what moves in each row (k,)."""
     furthest = jnp.maximum(jnp.abs(start), jnp.abs(goal))
     turned = traced(jnp.abs(goal - start))
     travel = [furthest[j] if prismatic else 0.0 for j, prismatic in enumerate(robot.is_prismatic)]
@@ -413,7 +414,7 @@ def _speeds(robot: Robot, rows: list[_Row], q: Any, moved: Any) -> Any:
 
 
 def _size(robot: Robot, length: Any, start: Any, goal: Any) -> Any:
-    """What rounding takes its share of, the robot's part [m]: its coordinates, and what a joint's value moves."""
+    """The robot's part of the lengths that rounding is a share of [m]: its coordinates, and what a joint's value moves."""
     base = jnp.max(jnp.abs(jnp.asarray(robot.world_T_base[:3, 3], start.dtype)))
     return base + length * (1.0 + jnp.sum(jnp.maximum(jnp.abs(start), jnp.abs(goal))))
 

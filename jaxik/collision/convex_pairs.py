@@ -1,6 +1,5 @@
-"""What the convex parts of a robot's links decide, where its volumes are too near to tell (`own_shape`): how far these are
-apart, or from an obstacle, each couple by `gjk`.
-"""
+"""Measures the convex parts of a robot's links, which decide where its volumes are too near to tell (`own_shape`): each couple
+of parts, or part and obstacle, by `gjk`."""
 
 from __future__ import annotations
 
@@ -33,8 +32,8 @@ class Parts(OwnShape):
         self.close = DIGITS * float(jnp.finfo(space.dtype).eps)
 
     def pairs(self, first: Any, last: Any, nearest: Callable[[Any, Found], Found], found: Found) -> Found:
-        """What was found, or the nearest of the robot's pairs of parts from `first` to `last`, not counted, if they are nearer;
-        `nearest(k, found)` knows pair k by its volumes."""
+        """Returns what was found, or the nearest of the robot's pairs of parts from `first` to `last`, not counted, if it is
+        nearer; `nearest(k, found)` knows pair k by its volumes."""
         trees = self.space.trees
 
         def pair(k: Any, found: Found) -> Found:
@@ -47,7 +46,7 @@ class Parts(OwnShape):
         return lax.fori_loop(first, last, pair, found)
 
     def leaf(self, p: Any, others: Any, j: Any, nearest: Callable[[Found], Found], _: Any) -> Callable[[Found], Found]:
-        """What was found, or part p and leaf j of some obstacles, `nearest` by their volumes, if they are nearer."""
+        """Returns what was found, or part p and leaf j of some obstacles, `nearest` by their volumes, if they are nearer."""
         walked = lambda start, enough: self.beside_leaf(p, others, j, start, enough)
         decided = lambda found: self.decided(found, nearest(found), walked, None)
         return lambda found: lax.cond(entry(self.own.closer, p), decided, nearest, found)
@@ -92,8 +91,8 @@ class Parts(OwnShape):
         return lax.fori_loop(entry(self.own.first, p), entry(self.own.first, p + 1), one, state)
 
     def touch(self, found: Found) -> tuple[Vec3, Vec3]:
-        """Of a pair that was found, where the body is nearest to the other, in its joint's frame; and where the other is to it,
-        likewise, if it is a body, too. Of other pairs they mean nothing. Without derivatives."""
+        """Where the body of a found pair is nearest to the other, in its joint's frame; and where the other, if it is a body,
+        is nearest to it. For other pairs they mean nothing. Without derivatives."""
         space, count = self.space, len(self.radius)
         i, b = (jnp.clip(n, 0, count - 1) for n in (found.mine - self.first, found.other - self.origin))
         among = lambda n, first, rows: (n >= first) & (n < first + rows)
@@ -150,7 +149,7 @@ class Parts(OwnShape):
         return lax.fori_loop(entry(self.own.first, p), entry(self.own.first, p + 1), one, found)
 
     def _nearer(self, a: Any, frame: Frame, near: Any, found: Found, theirs: tuple[Support, Any, Vec3, Any]) -> Found:
-        """What was found, or body a and another, if they are nearer; in lanes that are not `near` it is not looked."""
+        """Returns what was found, or body a and another, if they are nearer; lanes that are not `near` do not look."""
         core, radius, middle, number = theirs
         radii = entry(self.radius, a) + radius
         least = jnp.where(near, found.distance + radii, -1.0)
@@ -161,8 +160,8 @@ class Parts(OwnShape):
 
 
 class Core(NamedTuple):
-    """What an obstacle is without its radius: the hull of `corners`, a box of `half` edges about each of their points, and a
-    disc of radius `ring` about each of these, across z, both turned; None of what it has not."""
+    """An obstacle without its radius: the hull of `corners`, a box of `half` edges about each of their points, and a disc of
+    radius `ring` about each of these, across z, both turned; None for what it has not."""
 
     corners: tuple[Vec3, ...]
     turn: Rot3 | None = None
@@ -171,7 +170,7 @@ class Core(NamedTuple):
 
     @staticmethod
     def of(gap: Gap, row: Any) -> tuple[Core, Any]:
-        """That of an obstacle, as a `gap` measures to it, and its radius."""
+        """The core of an obstacle, as a `gap` measures to it, and its radius."""
         if gap is box_gap:
             turn, center, half = row
             return Core((center,), turn, half), 0.0
@@ -189,7 +188,7 @@ class Core(NamedTuple):
         return Core(corners, self.turn or plain, self.half or Vec3(zero, zero, zero), zero if self.ring is None else self.ring)
 
     def farthest(self, along: Vec3) -> Vec3:
-        """Its farthest point along a direction."""
+        """The farthest point along a direction."""
         best = self.corners[0]
         for corner in self.corners[1:]:
             farther = corner.dot(along) > best.dot(along)

@@ -7,7 +7,7 @@ minimum lies at an end): so the minimiser is found without derivatives, held fix
 gradient [Danskin 1967].
 
 What a negative distance says: the shortest way out, along the direction in which two bodies overlap least; where only radii
-overlap that of their skeletons. Of two such ways that are as short the gradient is one of them, not their mean, and leads out.
+overlap that of their skeletons. Where two such ways are as short, the gradient is one of them, not their mean, and leads out.
 """
 
 from __future__ import annotations
@@ -231,8 +231,8 @@ def skeleton_triangle(skeleton: tuple[Vec3, ...], triangle: tuple[Vec3, ...]) ->
 
 
 def _way_apart(skeleton: tuple[Vec3, ...], triangle: tuple[Vec3, ...]) -> Any:
-    """By how far a line or a triangle is apart from a triangle, along the axis where that is most. Such axes are the normals,
-    and those at right angles to an edge of each [Ericson 2005, sec. 5.2.1]."""
+    """How far a line or a triangle is apart from a triangle, along the axis where that is most. Such axes are the normals, and
+    those at right angles to an edge of each [Ericson 2005, sec. 5.2.1]."""
     both = [[corner - triangle[0] for corner in corners] for corners in (skeleton, triangle)]
     # a line has one edge
     edges = [[c[i] - c[i - 1] for i in range(1, len(c))] + ([c[0] - c[2]] if len(c) == 3 else []) for c in both]
@@ -311,9 +311,9 @@ def triangle_outside_cylinder(triangle: tuple[Vec3, ...], world_R_cylinder: Rot3
 
 
 def _separation(corners: list[Vec3], half: Vec3) -> Any:
-    """By how far a line or a triangle is apart from a box about the origin, along the axis where that is most: where they
-    cross, minus the shortest way out. Such axes are the box's, the triangle's normal, and those at right angles to an edge of
-    each [Ericson 2005, sec. 5.2.1]."""
+    """How far a line or a triangle is apart from a box about the origin, along the axis where that is most: where they cross,
+    minus the shortest way out. Such axes are the box's, the triangle's normal, and those at right angles to an edge of each
+    [Ericson 2005, sec. 5.2.1]."""
     a, b, *more = corners
     axes = [] if not more else [(b - a).cross(more[0] - a)]
     for u in [b - a] if not more else [b - a, more[0] - b, a - more[0]]:
@@ -328,7 +328,7 @@ def _separation(corners: list[Vec3], half: Vec3) -> Any:
 
 
 def _gap(places: list[Any], reach: Any) -> Any:
-    """From places on a line to [-reach, reach]; negative where they overlap."""
+    """The gaps from places on a line to [-reach, reach]; negative where they overlap."""
     return _more(reduce(_less, places), -reduce(_more, places)) - reach
 
 
@@ -409,9 +409,9 @@ def _line_cylinder(a: Vec3, b: Vec3, radius: Any, half: Any) -> tuple[Any, Any]:
 
 
 def _way_out_of_cylinder(corners: list[Vec3], radius: Any, half: Any) -> Any:
-    """By how far a line or a triangle is apart from the cylinder, along the direction where that is most: where they cross,
-    minus the shortest way out. Such directions are the axis, the normal, those at right angles to the axis through a corner or
-    across an edge, and those across an edge and past a rim; along others the two meet in corners, which are longer."""
+    """How far a line or a triangle is apart from the cylinder, along the direction where that is most: where they cross, minus
+    the shortest way out. Such directions are the axis, the normal, those at right angles to the axis through a corner or across
+    an edge, and those across an edge and past a rim; along others the two meet in corners, which are longer."""
     a, b, *more = corners
     edges = [(a, b), (b, *more), (*more, a)] if more else [(a, b)]
     zero = jnp.zeros_like(a.z)

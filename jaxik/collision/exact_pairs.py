@@ -1,7 +1,6 @@
-"""What a robot's own triangles decide, where its volumes are too near to tell (`own_shape`).
+"""Measures a robot's own triangles, which decide where its volumes are too near to tell (`own_shape`).
 
-What surfaces are apart is found by walks through their trees (`surface_trees`), which lanes whose volumes are far apart take no
-part in.
+Their distances are found by walks through trees (`surface_trees`), in which lanes whose volumes are far apart take no part.
 """
 
 from __future__ import annotations
@@ -34,11 +33,12 @@ class Exact(OwnShape):
         self.trees, self.corners, self.radius, self.joint = own.trees, own.trees.corners, own.trees.radius, own.joint
 
     def pairs(self, first: Any, last: Any, nearest: Callable[[Any, Found], Found], found: Found) -> Found:
-        """What was found, or the nearest of the robot's pairs of parts from `first` to `last`, not counted, if they are nearer;
-        `nearest(k, found)` knows pair k by its volumes.
+        """Returns what was found, or the nearest of the robot's pairs of parts from `first` to `last`, not counted, if it is
+        nearer; `nearest(k, found)` knows pair k by its volumes.
 
         First the volumes of all pairs, and the convex parts of what is near; then each lane goes through those that were near
-        in it, whichever these are, the nearest first."""
+        in it, whichever these are, the nearest first.
+        """
         trees, bound = self.space.trees, jnp.minimum(found.distance, self.within)
         row = lambda x: jnp.zeros((len(trees.other),), x.dtype)
         near, least = jax.tree_util.tree_map(row, found), jnp.full_like(row(found.distance), jnp.inf)
@@ -88,8 +88,8 @@ class Exact(OwnShape):
         return lax.cond(start.distance > 0.0, inside, lambda start: start, start)
 
     def leaf(self, p: Any, others: Any, j: Any, nearest: Callable[[Found], Found], nearer: Any) -> Callable[[Found], Found]:
-        """What was found, or part p and leaf j of some obstacles, by their volumes as `nearest` finds it, if they are nearer;
-        `nearer` measures a triangle against rows."""
+        """Returns what was found, or part p and leaf j of some obstacles, by their volumes as `nearest` finds it, if they are
+        nearer; `nearer` measures a triangle against rows."""
         dtype = self.space.dtype
 
         def walked(start: Found, enough: Any) -> Found:
@@ -155,7 +155,7 @@ class Exact(OwnShape):
 
 
 def _least(row: Any, first: Any, last: Any) -> Any:
-    """Which entry of a row from `first` to `last`, not counted, is the least."""
+    """The number of the least entry of a row from `first` to `last`, not counted."""
 
     def less(k: Any, found: tuple[Any, Any]) -> tuple[Any, Any]:
         value = entry(row, k)

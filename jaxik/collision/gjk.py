@@ -60,7 +60,7 @@ class _State(NamedTuple):
 
 
 def farthest(corners: Any, first: Any, last: Any, along: Vec3) -> Vec3:
-    """Of the rows of corners (c, 3) from `first` to `last`, not counted, the one that is farthest along a direction."""
+    """The farthest along a direction of the rows of corners (c, 3) from `first` to `last`, not counted."""
 
     def step(i: Any, best: tuple[Any, Any]) -> tuple[Any, Any]:
         reach = Vec3(*traced(entry(corners, i))).dot(along)

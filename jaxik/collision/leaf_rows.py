@@ -1,4 +1,4 @@
-"""What the search for the nearest pair finds, and how it reads rows of columns in a kernel."""
+"""The result of the search for the nearest pair, and how it reads rows of columns in a kernel."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Found(NamedTuple):
 
 
 def nearest_of(found: Found, another: Found) -> Found:
-    """What was found, unless the other is nearer."""
+    """Returns what was found, unless the other is nearer."""
     return either(another.distance < found.distance, another, found)
 
 

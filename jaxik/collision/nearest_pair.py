@@ -43,8 +43,8 @@ class Placed(NamedTuple):
 
 
 class Others(NamedTuple):
-    """What volumes are measured against, of one kind: rows, and leaves of `size` of them; `even`: balls with like radii in a
-    leaf. Their numbers, for all kinds together, begin at `origin`."""
+    """Obstacles or volumes of one kind that volumes are measured against: rows, and leaves of `size` of them; `even`: balls
+    with like radii in a leaf. Their numbers, for all kinds together, begin at `origin`."""
 
     columns: Any
     gap: Gap
@@ -88,7 +88,7 @@ class Space:
         self.own = self._own_shape(around, count)
 
     def _own_shape(self, around: Grouped, origin: int) -> Exact | Parts | None:
-        """What decides where volumes are near, numbered from `origin` on: surfaces, or else convex parts."""
+        """The own shape that decides where volumes are near, numbered from `origin` on: surfaces, or else convex parts."""
         first = self.first[-1]
         parts = next((Parts(self, own, first, origin) for own in bvh.own_in(around, OwnParts)), None)
         return next((Exact(self, own, first, origin, parts) for own in bvh.own_in(around, OwnSurfaces)), parts)
@@ -216,7 +216,7 @@ class Space:
         return self._if_near(found, ball, row_at(self.parts, o), either)
 
     def _beyond(self, number: Any, found: Found, inside: Callable[[Found], Found]) -> Found:
-        """What is found `inside` a pair of parts, but no nearer than its table says."""
+        """Returns what is found `inside` a pair of parts, but no nearer than its table says."""
         bound = self._tabled_gap(number, self._joints_of(number))
 
         def compared(found: Found) -> Found:
@@ -272,7 +272,7 @@ class Space:
         return found
 
     def _if_near(self, found: Found, a: Any, b: Any, inside: Callable[[Found], Found]) -> Found:
-        """What is found `inside` two spheres, unless they are further apart than what is found already."""
+        """Returns what is found `inside` two spheres, unless they are further apart than what is found already."""
         if not self.skips:
             return inside(found)
         (center, radius), (other, other_radius) = a, b
@@ -423,7 +423,7 @@ def _pulled(gap: Gap, own: Any, other: Any) -> tuple[Any, tuple[Vec3, ...], Vec3
 
 
 def _if_beside(found: Found, mine: Any, ball: Any, inside: Callable[[Found], Found]) -> Found:
-    """What is found `inside` a ball, unless that is further from the one volume than what is found already."""
+    """Returns what is found `inside` a ball, unless that is further from the one volume than what is found already."""
     beside = skeleton_gap(mine, ((ball[0],), ball[1]))[0] < found.distance
     return lax.cond(beside, inside, lambda found: found, found)
 

@@ -198,8 +198,8 @@ class OwnShape:
         self.space, self.within, self.first, self.origin = space, jnp.asarray(within, space.dtype), first, origin
 
     def decided(self, found: Found, nearest: Found, walked: Callable[..., Found], held: Callable[[], Any] | None) -> Found:
-        """What was `found`, or a pair if it is nearer: `nearest` by its volumes, and `walked(start, enough)` by what decides;
-        `held` says whether one of the two is inside of the other."""
+        """Returns what was `found`, or a pair if it is nearer: `nearest` by its volumes, and `walked(start, enough)` by what
+        decides; `held` says whether one of the two is inside of the other."""
         start = self.start(nearest, jnp.minimum(found.distance, self.within))
         near = start.distance > 0.0
         enough = 0.0 if self.space.enough is None else jnp.maximum(self.space.enough, 0.0)

@@ -150,7 +150,7 @@ class Scene(Constant):
         super().freeze()
 
     def by_kind(self) -> Iterator[tuple[str, Any, np.ndarray]]:
-        """Of each kind its name, the obstacles, and the object (k,) that each of them belongs to, -1 where it is none."""
+        """Yields the name of each kind, the obstacles, and the object (k,) that each of them belongs to, -1 for none."""
         for kind, owners in zip(KINDS, self.owners, strict=True):
             obstacles = getattr(self, kind)
             yield kind, obstacles, np.array([*owners, *[-1] * (obstacles.count - len(owners))], int)
@@ -189,7 +189,7 @@ class Scene(Constant):
         return dataclasses.replace(self, **away)
 
     def _index(self, given: Any) -> int:
-        """Which object an index or a name means."""
+        """The number of the object that an index or a name means."""
         if isinstance(given, str):
             if given not in self.object_names:
                 raise ValueError(no_such(f"scene '{self.name}'", "object", given, self.object_names))
@@ -228,7 +228,7 @@ class Scene(Constant):
 
 
 def remembered(scene: Scene, what: Hashable, make: Callable[[], Any]) -> Any:
-    """What is made of a scene once, since it never changes; of one with concrete numbers."""
+    """Caches `make()` on a scene, which holds concrete numbers, and never changes."""
     known = getattr(scene, "_known", None)
     if known is None:
         for kind in KINDS:
@@ -249,7 +249,7 @@ def _moved_away(obstacles: Any, mask: np.ndarray) -> Any:
 
 
 def _padded(obstacles: Any) -> Any:
-    """As many as the next of `SIZES`, or as there are where there are more."""
+    """Fills obstacles up to the next of `SIZES`; where there are more they stay."""
     count, xp = obstacles.count, np if is_known(obstacles) else jnp
     size = next((s for s in SIZES if s >= count), count)
     filled = jax.tree_util.tree_map(lambda x: with_zeros(x, size, xp) if x.ndim else x, obstacles)
@@ -262,7 +262,7 @@ def with_zeros(x: Any, count: int, xp: Any) -> Any:
 
 
 def check_scene(scene: Scene) -> None:
-    """What drivers ask of a scene, whose arrays may have been replaced by hand.
+    """Checks a scene, whose arrays may have been replaced by hand.
 
     Raises `ValueError`, one line, for arrays of other shapes and, where they are not traced, for numbers that are not finite,
     negative sizes and frames that are not rigid. What is far away may be padding.
@@ -280,7 +280,7 @@ def check_scene(scene: Scene) -> None:
 
 
 def _check_shape(what: str, array: Any, shape: tuple[int, ...]) -> None:
-    """Of -1 entries there are any number."""
+    """Checks for an array of numbers of a shape, in which -1 is any length."""
     if not isinstance(array, np.ndarray | np.generic | jax.Array) or array.dtype.kind not in "iuf":
         raise ValueError(f"{what}: {type(array).__name__} that is no array of numbers")
     if len(array.shape) != len(shape) or any(n not in (-1, m) for n, m in zip(shape, array.shape, strict=True)):

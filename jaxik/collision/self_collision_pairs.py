@@ -1,4 +1,4 @@
-"""Which pairs of links are checked against each other: those that may touch, by random configurations."""
+"""Chooses the pairs of links that are checked against each other: those that may touch, by random configurations."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def _samples(count: int) -> np.ndarray:
 
 
 def _gaps(p: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """In each configuration the least distance of a sphere of a from one of b [m]."""
+    """The least distance of a sphere of a from one of b in each configuration [m]."""
     least = np.full(p.shape[1], np.inf)
     for i in np.flatnonzero(a):
         gap = np.linalg.norm(p[i] - p[b], axis=-1) - r[i] - r[b, None]

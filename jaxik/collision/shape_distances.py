@@ -60,7 +60,8 @@ def outside(gap: Gap) -> Gap:
 
 
 def depth_gap(volumes: Any, triangle: Any, at: Any) -> Any:
-    """Of a ball that is inside of a solid, whose nearest triangle this is: where its volume's skeleton is `at`."""
+    """Minus the depth of a ball inside of a solid, to whose nearest triangle it is: the ball where its volume's skeleton is
+    `at`."""
     return -(distance.point_triangle(along(volumes[0], at), *triangle[0]) + volumes[1])
 
 

@@ -1,4 +1,4 @@
-"""Which points of a robot are inside of closed surfaces, and how deep: a part of the search for the nearest pair.
+"""Finds the points of a robot that are inside of closed surfaces, and how deep: a part of the search for the nearest pair.
 
 The surfaces wind around a point as often as a ray from it leaves through their triangles, less how often it enters.
 """
@@ -22,7 +22,7 @@ SAMPLES = {1: (1, 0.0), 2: (5, 0.25), 3: (6, 0.5)}  # of a skeleton by its corne
 
 
 class Solids:
-    """What is inside of closed surfaces: a part of the robot, and the triangles of kind k in branches from `first` to `last`.
+    """A part of the robot among closed surfaces: the triangles of kind k in branches from `first` to `last`.
 
     A skeleton that crosses no triangle is wholly inside or wholly outside, and so are its points: those that surfaces wind
     around are as deep as the nearest triangle is far. What is out of a body's extents, or further from all its triangles than
@@ -35,11 +35,11 @@ class Solids:
         self.branches = as_columns(self.obstacles.branches, space.dtype)
 
     def deepest(self, ball: Any, found: Found) -> Found:
-        """What was found, or the deepest of all points inside, if it is deeper and what was found is not enough."""
+        """Returns what was found, or the deepest of all points inside, if it is deeper and what was found is not enough."""
         return self._if_within(ball, self._of_volumes if self.space.own is None else self._of_own_shape, found)
 
     def _if_within(self, ball: Any, then: Callable[[Found], Found], found: Found) -> Found:
-        """What `then` finds, if the ball is near enough to a body to have points inside of it."""
+        """Returns what `then` finds, if the ball is near enough to a body to have points inside of it."""
         center, radius = ball
 
         def near(b: Any, is_near: Any) -> Any:

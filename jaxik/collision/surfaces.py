@@ -74,7 +74,7 @@ def _connected(faces: np.ndarray) -> list[np.ndarray]:
 
 
 def _body(faces: np.ndarray, triangles: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Those triangles of a connected surface that close around a body, and which of them to reverse (`_outward`)."""
+    """The triangles of a connected surface that close around a body, and which of them to reverse (`_outward`)."""
     flip = _outward(faces[rows], triangles[rows])
     once = np.sort(np.unique(np.sort(faces[rows], axis=1), axis=0, return_index=True)[1])
     if flip is None and len(once) < len(rows):  # files have both sides of a surface, or copies
@@ -84,8 +84,8 @@ def _body(faces: np.ndarray, triangles: np.ndarray, rows: np.ndarray) -> tuple[n
 
 
 def _outward(faces: np.ndarray, triangles: np.ndarray) -> np.ndarray | None:
-    """Which of a connected surface's triangles are to be reversed so that all are seen counter-clockwise from outside; None of
-    a surface that is open, has two sides that are one, or holds nothing."""
+    """Whether each of a connected surface's triangles is to be reversed so that all are seen counter-clockwise from outside;
+    None if the surface is open, has two sides that are one, or holds nothing."""
     flip = np.zeros(len(faces), bool)
     if not closes(faces):
         flip = _alike(faces)
@@ -109,13 +109,14 @@ def closes(faces: np.ndarray) -> bool:
 
 
 def _undirected(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of each of `_edges` which edge it is, whatever its direction, and how many of them each is."""
+    """The number of each of `_edges`, whatever its direction, and how many have each number."""
     _, which, counts = np.unique(np.sort(_edges(faces), axis=1), axis=0, return_inverse=True, return_counts=True)
     return which.ravel(), counts
 
 
 def _alike(faces: np.ndarray) -> np.ndarray:
-    """Which triangles to reverse so that all are seen alike from where the first is, as far as edges of two lead there."""
+    """Whether each triangle is to be reversed so that all are seen alike from where the first is, as far as edges of two lead
+    there."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import breadth_first_order
 

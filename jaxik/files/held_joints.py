@@ -19,7 +19,7 @@ MASTERS = 100  # in a row, each driven by the next
 
 @dataclasses.dataclass
 class Posture:
-    """What the caller says of joints beside the chain (`given`); and, once a file is read, where each is `held` [rad, m], the
+    """The caller's values of joints beside the chain (`given`); and, once a file is read, where each is `held` [rad, m], the
     joints that another of the robot drives (`driven`), the types of those that only stand (`stands`), and for each link behind
     such joints which they are (`behind`)."""
 

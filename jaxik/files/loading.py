@@ -158,7 +158,7 @@ def load(
 
 @dataclasses.dataclass
 class _Read:
-    """What a file holds: the robot, the shapes that are to be fitted, the pairs of links to check where the file says them,
+    """The content of a file: the robot, the shapes that are to be fitted, the pairs of links to check where the file says them,
     what there is to tell, and how joints beside the chain are held."""
 
     path: Path
@@ -191,7 +191,7 @@ class _Read:
         return _Read(path, robot, [] if saved is not None else meshes.shapes(robot), saved, notes, stance)
 
     def pairs(self, asked: LoadOptions) -> tuple[Any, Any]:
-        """Which pairs of links are checked, or not, in any case; and the objects that links ignore."""
+        """The pairs of links that are checked, or not, in any case; and the objects that links ignore."""
         wanted = asked_pairs(self.path, self.robot, asked.pairs)
         apart, beside = ignored(self.path, self.robot, asked.ignore)
         apart |= self.notes.apart | disabled_pairs(asked.srdf, self.notes.links or self.robot.link_names, self.notes)

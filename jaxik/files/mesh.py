@@ -32,9 +32,9 @@ FORMATS = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")  # and no archive, wh
 
 @dataclasses.dataclass
 class Meshes:
-    """What is made of collision shapes: `fitted` ones are collected here while a file is read, in the frames of their links;
-    otherwise a mesh becomes the smallest box around it, if it is `read` at all. Spheres and capsules stay what they are.
-    `packages` are where meshes of ROS packages may lie."""
+    """Collects collision shapes: `fitted` ones are collected here while a file is read, in the frames of their links; otherwise
+    a mesh becomes the smallest box around it, if it is `read` at all. Spheres and capsules stay what they are. `packages` are
+    where meshes of ROS packages may lie."""
 
     read: bool
     fitted: bool
@@ -64,7 +64,7 @@ class Meshes:
             link.boxes.append((origin @ np.linalg.inv(to_origin), np.asarray(extents) / 2.0))
 
     def shapes(self, robot: Robot) -> list[Shape]:
-        """What was collected, in the frames of the robot's joints."""
+        """The collected shapes, in the frames of the robot's joints."""
         found = []
         for owner, shape in self.found:
             if owner in robot.link_names:

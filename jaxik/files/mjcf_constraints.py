@@ -1,4 +1,4 @@
-"""What an MJCF file says of its bodies together: loops that equalities close, and which geoms touch each other.
+"""Reads what an MJCF file says of its bodies together: loops that equalities close, and which geoms touch each other.
 
 MuJoCo lets two geoms touch where a `<pair>` says so; else where a bit of one's contype meets the other's conaffinity, and their
 bodies are in no `<exclude>` [https://mujoco.readthedocs.io/en/stable/computation/index.html#collision].
@@ -79,7 +79,7 @@ def _flies(model: Any, body: int) -> bool:
 
 
 def solid_geoms(model: Any) -> np.ndarray:
-    """Which geoms anything may touch (g,): by their bits, or in a `<pair>`."""
+    """Whether anything may touch each geom (g,): by its bits, or in a `<pair>`."""
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     solid[[*model.pair_geom1, *model.pair_geom2]] = True
     return np.asarray(solid)

@@ -1,4 +1,4 @@
-"""What a robot's file says that its robot cannot hold, for one line of warning each; and the links that it lets pass."""
+"""Collects what a robot's file says and its robot cannot hold, a line of warning each; and the links that it lets pass."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Notes:
     links: tuple[str, ...] = ()
 
     def add(self, told: str, *names: str) -> None:
-        """That something is so, of one more name."""
+        """Adds that something is so of more names."""
         self.told.setdefault(told, []).extend(names)
 
     def lines(self) -> Iterable[str]:

@@ -50,6 +50,6 @@ def _below(package: str, folders: Iterable[Path]) -> Iterator[Path]:
 
 
 def _environment() -> Iterator[Path]:
-    """What ROS 1 and ROS 2 search."""
+    """The folders that ROS 1 and ROS 2 search."""
     for variable, inside in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
         yield from (Path(folder, inside) for folder in os.environ.get(variable, "").split(os.pathsep) if folder)

@@ -75,7 +75,7 @@ def _triangles(points: np.ndarray, indices: np.ndarray, counts: np.ndarray) -> n
 
 
 def _inwards(corners: np.ndarray) -> np.ndarray:
-    """Which corners (k, n) of faces (k, n, 3) are turned inwards."""
+    """Whether the corners (k, n) of faces (k, n, 3) are turned inwards."""
     normal, along = _normals(corners), np.roll(corners, -1, axis=1) - corners
     turns = np.einsum("kni,ki->kn", np.cross(np.roll(along, 1, axis=1), along), normal)
     return np.asarray(turns < -REFLEX * np.sum(normal**2, axis=1)[:, None])
@@ -183,7 +183,7 @@ def _element(body: bytes, at: int, count: int, properties: dict[str, tuple[str, 
 
 
 def _fields(key: str, types: tuple[str, ...], length: int) -> list[tuple[Any, ...]]:
-    """Of a number, or of a list of a length, whose own number comes first."""
+    """The fields of a PLY element: numbers, or lists, whose length comes first."""
     return [(f"{key} count", types[0]), (key, types[1], (length,))] if types[1:] else [(key, types[0])]
 
 
@@ -226,7 +226,7 @@ def _dae(content: bytes) -> tuple[np.ndarray, Faces]:
 
 
 def _parts(nodes: Iterable[Any], placed: np.ndarray) -> Iterator[tuple[Any, np.ndarray]]:
-    """What has faces below the nodes of a DAE, and where it is placed."""
+    """The geometries with faces below the nodes of a DAE, and where they are placed."""
     import collada
 
     for node in nodes:

@@ -1,4 +1,4 @@
-"""What every robot file becomes before it is a robot: a run of joints from base to tip, checked in one place."""
+"""Makes a robot of a run of joints from base to tip, which every robot file becomes; checks it in one place."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Joint:
 
 @dataclasses.dataclass
 class Link:
-    """What is fixed to a link's frame: inertia, boxes and swept-sphere volumes (link index not yet known)."""
+    """A link's inertia, boxes and swept-sphere volumes, in its frame (link index not yet known)."""
 
     mass: float = 0.0
     com: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(3))

@@ -85,7 +85,7 @@ def _toml(robot: Robot) -> str:
 
 
 def read_robot(model: Table) -> Robot:
-    """What `save` wrote. Raises `LoadError` where somebody has changed it to what is no robot."""
+    """Reads a robot that `save` wrote. Raises `LoadError` where somebody has changed it to what is no robot."""
     name = model.text("name")
     model.text("convention")
     model.text("description", "-")

@@ -100,7 +100,7 @@ class Table:
         return values
 
     def turned(self, key: str, default: float | None = None) -> float:
-        """Likewise an angle of a robot. Refuse one in radians of more than two turns, which is likely in degrees."""
+        """An angle of a robot. Refuses one in radians of more than two turns, which is likely in degrees."""
         value = self.number(key, "angle", default)
         if key in self.content and TURNS < abs(value) < math.inf:
             mend = f"write {key}_deg = {value:g} for degrees, and so many turns in degrees"
@@ -108,7 +108,7 @@ class Table:
         return value
 
     def finite(self, key: str, shape: Shape, least: float = -math.inf, unit: str = "plain", default: Any = None) -> np.ndarray:
-        """Likewise numbers that are finite, at least one of them, and none less than `least`."""
+        """Numbers that are finite, at least one of them, and none less than `least`."""
         values = self.array(key, unit, shape, default)
         if not values.size or not np.all(np.isfinite(values) & (values >= least)):
             fault = "holds infinity" if np.any(np.isinf(values)) else "is out of range" if values.size else "holds no number"
@@ -208,8 +208,8 @@ def read_toml(path: Path) -> Table:
 
 @dataclasses.dataclass
 class Parts:
-    """What a model file says: the joints from its base to its tip, the links' content, the tip's frame in the last joint's, and
-    the base's in the world."""
+    """The content of a model file: the joints from its base to its tip, the links' content, the tip's frame in the last
+    joint's, and the base's in the world."""
 
     joints: list[Joint]
     links: dict[str, Link]

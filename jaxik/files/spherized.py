@@ -97,7 +97,7 @@ def _inertial(element: ElementTree.Element, body: Body) -> None:
 
 
 def _friction(drive: Drive) -> dict[str, str]:
-    """What a drive rubs at its joint, as a URDF has it."""
+    """A drive's friction at its joint, as a URDF has it."""
     ratio = float(drive.ratio) if drive.friction.side == "motor" else 1.0
     rubs = {"friction": ratio * float(drive.friction.coulomb), "damping": ratio**2 * float(drive.friction.viscous)}
     return {key: repr(value) for key, value in rubs.items()}

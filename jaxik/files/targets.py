@@ -49,7 +49,8 @@ def load_targets(path: str | Path) -> np.ndarray:
 
 
 def read_targets(path: str | Path) -> np.ndarray:
-    """What `load_targets` reads, but a position with a quaternion (N, 7) as it stands: less than half the memory of a pose."""
+    """Reads targets as `load_targets` does, but a position with a quaternion (N, 7) as it stands: less than half the memory of
+    a pose."""
     path = Path(path)
     readers = {".csv": _csv, ".npz": _npz, ".json": _json}
     if path.suffix.lower() not in readers:

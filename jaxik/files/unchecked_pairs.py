@@ -1,4 +1,5 @@
-"""What a collision model leaves unchecked, because its user or an SRDF file says so; and an SRDF that says it to others."""
+"""The pairs that a collision model leaves unchecked, because its user or an SRDF file says so; and an SRDF that says it to
+others."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def _value(x: Any, corners: Any, count: Any, normals: Any, offsets: Any, planes:
     zero = jnp.zeros_like(line.x)
 
     def reach(i: Any) -> tuple[Any, Any, Vec3]:
-        """Of a corner: where on the line it is nearest, how far it is from there, and from where to where."""
+        """Where on the line a corner is nearest, how far it is from there, and from where to where."""
         corner = Vec3(*traced(entry(corners, i)))
         t = jnp.clip((corner - ends[0]).dot(line) / square, 0.0, 1.0)
         apart = corner - ends[0] * (1.0 - t) - ends[1] * t

@@ -126,7 +126,7 @@ def _along(points: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 
 def away(points: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """From the line between `ends` to the points (p, 3)."""
+    """The ways from the line between `ends` to points (p, 3)."""
     t = _along(points, ends)[:, None]
     return points - (1.0 - t) * ends[0] - t * ends[1]
 
@@ -180,7 +180,7 @@ def _divided(corners: np.ndarray, hull: _Hull, room: _Hull) -> list[_Piece]:
 
 
 def _worth(pair: Sequence[_Piece]) -> float:
-    """What is left to mend, the worse piece counting most; of two that need no mending, what is tighter."""
+    """The excess that is left to mend, the worse piece counting most; where neither needs mending, the tighter pair is less."""
     worse, better = sorted((p.excess for p in pair), reverse=True)
     return max(worse, 0.0) + 0.25 * max(better, 0.0) + 1e-3 * (worse + better)
 

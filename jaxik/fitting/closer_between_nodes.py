@@ -1,4 +1,4 @@
-"""By how much two convex bodies may be nearer between the nodes of a table than interpolation says: a kernel.
+"""Bounds how much nearer two convex bodies may be between the nodes of a table than interpolation says: a kernel.
 
 In any direction n two bodies are apart by `min_x n.x - max_y n.y` over the corners x of b and y of a, which is no more than
 their distance. Within half a step of a node n is the node's, kept in the frame of a, of b or of what is between the joints,
@@ -24,8 +24,8 @@ QUARTERS = tuple(itertools.product((0, 1), repeat=2))
 def excess(
     place: Any, across: Any, distance: Any, slopes: Any, a: Any, count_a: Any, b: Any, count_b: Any, axes: Any, half: Any
 ) -> Any:
-    """Of body b at `place` (12,) in a's frame, `distance` [m] away in the direction `across` (3,): by how much it may be nearer
-    than the interpolation says (2, 2), before and after the node along each joint [m].
+    """How much nearer than the interpolation says (2, 2) body b may be, before and after the node along each joint [m]; it is
+    at `place` (12,) in a's frame, `distance` [m] away in the direction `across` (3,).
 
     `slopes` (2, 2) are the interpolation's, before and after, of each joint [m/rad, 1]; `axes` (2, 7) the joints, the first
     seen from a and the second from b: a point, the direction, and 1 where it slides; `half` (2,) half the steps of the nodes.
@@ -38,8 +38,8 @@ def excess(
     ]
 
     def reach(p: Vec3, own: int) -> tuple[Any, list[list[Any]], Any, Any]:
-        """Of a corner at p, next to one of the joints: its height, by how much it falls with each joint, before and after the
-        node, and by its arcs: of that joint alone, and of both."""
+        """The height of a corner at p, next to one of the joints; how much it falls with each joint, before and after the node;
+        and by its arcs: of that joint alone, and of both."""
         speeds, radii = [], []
         for origin, along, slides in seen:
             out = p - origin

@@ -22,7 +22,7 @@ class Body(NamedTuple):
 
 
 def overlap(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """By how much (n,) [m] b would have to move at most, to no longer touch a: the least found over directions.
+    """How far (n,) [m] b would have to move at most, to no longer touch a: the least found over directions.
 
     Less than 0 only where a plane lies between the two.
     """
@@ -42,7 +42,7 @@ def rows_of(turn: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def rooms_of(*bodies: Body) -> tuple[Any, ...]:
-    """Of each body its corners, in arrays of one of a few lengths, which are compiled for, and their number."""
+    """The corners of each body, in arrays of one of a few lengths, which are compiled for, and their number."""
     most = max(len(body.corners) for body in bodies)
     room = next((n for n in ROOMS if n >= most), most)
     filled = (np.concatenate([body.corners, np.zeros((room - len(body.corners), 3))]) for body in bodies)
@@ -84,7 +84,7 @@ def gaps(couples: Sequence[tuple[Body, Body]], turn: np.ndarray, place: np.ndarr
 
 
 def depths(couples: Sequence[tuple[Body, Body]], turn: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """By how much couples of bodies overlap at most (n,) [m]."""
+    """How deep couples of bodies overlap at most (n,) [m]."""
     return np.asarray(np.max([overlap(a, b, turn, place) for a, b in couples], axis=0))
 
 
@@ -105,6 +105,6 @@ def hull_of(points: np.ndarray) -> Any:
 
 
 def hull_corners(points: np.ndarray) -> np.ndarray:
-    """Those of the points (p, 3) that are corners of their convex hull; all of them where they are flat."""
+    """The points among (p, 3) that are corners of their convex hull; all of them where they are flat."""
     hull = hull_of(points)
     return points if hull is None else np.asarray(points[hull.vertices])

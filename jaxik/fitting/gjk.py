@@ -28,7 +28,7 @@ def separation(place: Any, least: Any, a: Any, count_a: Any, b: Any, count_b: An
 
 
 def way_out(place: Any, a: Any, count_a: Any, b: Any, count_b: Any, first: Any, around: Any) -> tuple[Any, Any]:
-    """By how far body b, at `place` (12,), overlaps a at most [m]: how deep it is along the direction (3,) from a to b in which
+    """How far body b, at `place` (12,), overlaps a at most [m]: how deep it is along the direction (3,) from a to b in which
     that is least, sought among the `first` (k, 3) and, closer and closer, `around` (m, 3) the best."""
     frame, none = Frame.of_entries(traced(place)), jnp.int32(0)
 

@@ -133,7 +133,7 @@ def _table(robot: Robot, near: int, far: int, k: int, couples: Couples, limits: 
 
 
 class Axis(NamedTuple):
-    """Of a joint, seen from a link: a point on it, its direction, and whether it slides."""
+    """A joint's axis, seen from a link: a point on it, its direction, and whether it slides."""
 
     origin: np.ndarray
     along: np.ndarray
@@ -175,7 +175,7 @@ def _signed(
 
 
 def _beside(nodes: np.ndarray) -> np.ndarray:
-    """Those nodes of a square grid (n,), and those next to them."""
+    """Some nodes of a square grid (n,), and those next to them."""
     side = math.isqrt(len(nodes))
     wide = np.pad(nodes.reshape(side, side), 1)
     return np.any([wide[i : i + side, j : j + side] for i in range(3) for j in range(3)], axis=0).ravel()
@@ -196,7 +196,7 @@ def _excess(
     steps: list[float],
     asked: np.ndarray,
 ) -> np.ndarray:
-    """By how much interpolation between the nodes' `distance` may be too large in each cell [m], as the nodes `asked` say."""
+    """How much too large interpolation between the nodes' `distance` may be in each cell [m], as the nodes `asked` say."""
     side, radii = math.isqrt(len(distance)), sum(body.radius for body in couple)
     grid, half = distance.reshape(side, side), np.array(steps) / 2.0
     before = [np.diff(grid, axis=k, prepend=np.take(grid, [0], k)) / steps[k] for k in range(2)]

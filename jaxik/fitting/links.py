@@ -77,7 +77,7 @@ class Shape(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Asked:
-    """What a user says of pairs of links: those that are not checked, and those that are in any case, or all."""
+    """A user's pairs of links: those that are not checked, and those that are in any case, or all."""
 
     apart: frozenset[frozenset[str]] = frozenset()
     checked: frozenset[frozenset[str]] = frozenset()
@@ -118,7 +118,7 @@ class Links:
 
     @property
     def exact(self) -> Bodies:
-        """What needs no fit."""
+        """The shapes that need no fit."""
         return [(v.link, Body(np.asarray(v.corners, np.float64), float(v.radius))) for v in self.robot.volumes]
 
     def of(self, link: int) -> list[int]:
@@ -237,7 +237,7 @@ class Links:
         return False
 
     def surfaces_touch(self, pair: Pair, gap: np.ndarray, every: int = 1) -> np.ndarray:
-        """In which configurations the surfaces of two links touch, of all or one in `every`: where their parts do, at most."""
+        """Whether the surfaces of two links touch, in all configurations or one in `every`: where their parts do, at most."""
         found = np.zeros(len(self.q), bool)
         rows = np.flatnonzero((gap <= 0.0) & (np.arange(len(gap)) % every == 0))
         turn, place = between(self.robot, pair, self.frames[:, rows])
@@ -247,7 +247,7 @@ class Links:
 
     @functools.cached_property
     def surfaces(self) -> dict[int, Surface]:
-        """That of each link."""
+        """The surface of each link."""
         return {each.link: each for each in link_surfaces(self.robot, self.shapes)}
 
     # ----------------------------------------------------------------------------------------------------------------

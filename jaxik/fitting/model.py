@@ -42,9 +42,9 @@ _VERSION = 32  # of what is stored
 
 
 class Model(NamedTuple):
-    """What was fitted: capsules for each shape, and its convex parts; the pairs of links to check, those that are
-    not, those of the first that touch in the default pose and by how much at most [m]; and of the random configurations the
-    share in which surfaces touch (each pair's, too), and in which the model alone does (each link's and pair's, too)."""
+    """The result of a fit: capsules for each shape, and its convex parts; the pairs of links to check, those that are not,
+    those of the first that touch in the default pose and by how much at most [m]; and of the random configurations the share in
+    which surfaces touch (each pair's, too), and in which the model alone does (each link's and pair's, too)."""
 
     fits: tuple[Fitted, ...]
     bodies: tuple[tuple[Body, ...], ...]
@@ -102,7 +102,7 @@ def modelled(
 
 
 def _packed(model: Model) -> bytes:
-    """As a literal of Python's: arrays as lists, or bytes where they are long, records as tuples."""
+    """The model as a literal of Python's: arrays as lists, or bytes where they are long, records as tuples."""
     plain = model._asdict()
     plain["bodies"] = [[(corners.tobytes(), radius) for corners, radius in own] for own in model.bodies]
     plain["fits"] = [[part.tolist() for part in found] for found in model.fits]
@@ -170,7 +170,7 @@ class _Fitting(Links):
         return tuple(map(tuple, grown))
 
     def tables(self, hit: Hits, side: int) -> list[PairTable]:
-        """Of the pairs of links whose capsules falsely collide in more of the samples than `TABLED`."""
+        """Tables of the pairs of links whose capsules falsely collide in more of the samples than `TABLED`."""
         often = [pair for pair, rows in hit.items() if rows.mean() > TABLED]
         bodies = {link: [self.bodies[i][1] for i in self.of(link)] for pair in often for link in pair}
         found = [table_of(self.robot, pair, bodies, self.limits, self.q[hit[pair]], side) for pair in often]

@@ -32,13 +32,13 @@ class Piece(NamedTuple):
 
     @classmethod
     def welded(cls, corners: np.ndarray, faces: np.ndarray) -> Piece:
-        """Of corners that may stand twice, as in STL."""
+        """Makes a piece of corners that may stand twice, as in STL."""
         own, number = np.unique(corners, axis=0, return_inverse=True)
         return cls(own, number.reshape(-1)[faces])
 
     @property
     def volume(self) -> float:
-        """What it encloses, if it closes [m3]."""
+        """The volume that it encloses, if it closes [m3]."""
         a, b, c = np.moveaxis(self.corners[self.faces], 1, 0)
         return float(np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0)
 
@@ -101,7 +101,7 @@ def best_cut(piece: Piece, gain: Callable[[Piece], Callable[[Cut], float]]) -> t
 
 
 def _saved(piece: Piece) -> Callable[[Cut], float]:
-    """By how much smaller the hulls of a piece are after a cut [m3]."""
+    """How much smaller the hulls of a piece are after a cut [m3]."""
     whole = _volume(_few(piece.corners))
     return lambda cut: whole - sum(map(_volume, cut.sides))
 
@@ -156,7 +156,7 @@ def _crossing(corners: np.ndarray, height: np.ndarray, a: np.ndarray, b: np.ndar
 
 
 def divided(piece: Piece, cut: Cut) -> list[Piece]:
-    """What a piece has on either side of a cut."""
+    """The two pieces of a piece on either side of a cut."""
     height = piece.corners @ cut.normal - cut.place
     high = height[piece.faces]
     whole = [(high >= 0.0).all(axis=1), (high <= 0.0).all(axis=1) & (high < 0.0).any(axis=1)]

@@ -1,4 +1,4 @@
-"""What a fitted collision model is worth: how far it stands out of the meshes, what is checked, and what it says falsely."""
+"""Judges a fitted collision model: how far it stands out of the meshes, what is checked, and what it says falsely."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ SAMPLED = 2000  # points of a mesh's surface, and of a model's
 
 
 class LinkFit(NamedTuple):
-    """What `fit_report` tells of one mesh: its link, its name, the numbers of its convex parts and capsules; whether it closes,
-    which is what has an inside; the share of the mesh's surface that the capsules cover; how far their common surface is from
-    the mesh [m], at most and in the mean; and the share of random configurations in which the link falsely collides."""
+    """One mesh in a `fit_report`: its link, its name, the numbers of its convex parts and capsules; whether it closes, which is
+    what has an inside; the share of the mesh's surface that the capsules cover; how far their common surface is from the mesh
+    [m], at most and in the mean; and the share of random configurations in which the link falsely collides."""
 
     link: str
     mesh: str
@@ -35,8 +35,8 @@ class LinkFit(NamedTuple):
 
 
 class PairFit(NamedTuple):
-    """What `fit_report` tells of two links: why they are not checked, "" if they are (`Unchecked`); in which share of the
-    random configurations their meshes touch; and in which the model alone says so."""
+    """Two links in a `fit_report`: why they are not checked, "" if they are (`Unchecked`); in which share of the random
+    configurations their meshes touch; and in which the model alone says so."""
 
     links: tuple[str, str]
     unchecked: str
@@ -45,9 +45,9 @@ class PairFit(NamedTuple):
 
 
 class HeldJoint(NamedTuple):
-    """What `fit_report` tells of a joint that the file has beside the chain: the `value` at which it is held [rad, m], NaN for
-    one of a type without a single value; the joint of the chain that drives it (a mimic joint), "" if none does; and the links
-    behind it that have shapes, whose collisions are those at this value alone."""
+    """A joint beside the chain in a `fit_report`: the `value` at which it is held [rad, m], NaN for one of a type without a
+    single value; the joint of the chain that drives it (a mimic joint), "" if none does; and the links behind it that have
+    shapes, whose collisions are those at this value alone."""
 
     joint: str
     value: float
