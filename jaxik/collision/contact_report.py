@@ -3,12 +3,16 @@
 `clearance` is one number; here are the pairs behind it. The point of a volume's skeleton that is nearest comes from the
 distance's own gradient: a step f along the shortest way raises the distance by |f|, and corner c of the skeleton carries the
 share `f_c . f` of it, which is the point's weight.
+
+Drivers warn by it, before a search, of pairs that collide whatever the joints do, and of ignored objects that are not there.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
+import sys
+import warnings
 from collections.abc import Iterable, Iterator
 from functools import cache, lru_cache, partial
 from typing import Any
@@ -19,12 +23,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, check_known
-from jaxik.checks.options import as_count, check_finite, check_kind
+from jaxik.checks.options import as_count, check_finite, check_kind, nearest
 from jaxik.collision import distance
 from jaxik.collision.bvh import Grouped, decided_within, grouped, own_in, pair_tables, robot_trees
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.nearest_pair import Space
-from jaxik.collision.scene import FAR, Scene, check_scene
+from jaxik.collision.scene import FAR, Scene, check_scene, remembered
+from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.collision.shape_distances import Gap, along, columns_of, depth_gap, obstacles_of, skeleton_gap
 from jaxik.collision.solids import SAMPLES
 from jaxik.collision.volumes import Skeleton, skeletons
@@ -34,6 +39,8 @@ from jaxik.spatial.algebra import Vec3
 from jaxik.spmd import HostKernel
 
 BLOCK = 2**18  # distances at a time, which bounds the memory
+ASKED = 64  # of many robots, at most
+KNOWN = 64  # robots and margins of which a scene remembers what stands in it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -314,3 +321,64 @@ def _limits(robot: Robot, q: np.ndarray) -> tuple[Limit, ...]:
     units = ["m" if prismatic else "rad" for prismatic in robot.is_prismatic]
     order = [i for i in np.argsort(margins, kind="stable") if np.isfinite(margins[i])]
     return tuple(Limit(robot.joint_names[i], float(margins[i]), units[i]) for i in order)
+
+
+def warn_of_scene(who: str, robot: Robot, scene: Scene, margin: float, *others: Robot) -> None:
+    """Warns, in the name of the driver `who` and at its caller's line, of the first pair that collides in every configuration,
+    and of an object that is ignored and is in the scene by a name that is nearly its own. With several robots it tells of the
+    first that has any of these, and how many have."""
+    if robot.concrete and scene.concrete:
+        asked = (robot, *others)[:ASKED]
+        told = [lines for each in asked if (lines := scene_words(each, scene, margin))]
+        some = f" (and so for {len(told)} of the first {len(asked)} robots and bases)" if others else ""
+        for line in told[0] if told else ():
+            warnings.warn(f"{who}: {line}{some}", stacklevel=3)
+
+
+def scene_words(robot: Robot, scene: Scene, margin: float) -> list[str]:
+    """The warnings, a line each."""
+    return [*standing_words(robot, scene, margin), *_misspelt(robot, scene)]
+
+
+def standing_words(robot: Robot, scene: Scene, margin: float) -> list[str]:
+    """Words on the deepest of the pairs that cannot move apart and come nearer than `margin` [m]; none without such a pair."""
+    known = remembered(scene, "standing", dict)
+    if (robot, margin) not in known:
+        if len(known) >= KNOWN:
+            known.clear()
+        known[robot, margin] = standing(robot, scene, margin)
+    if not (found := known[robot, margin]):
+        return []
+    worst, more = found[0], len(found) - 1
+    apart = 1e3 * worst.distance
+    depth = f"collide by {-apart:.1f} mm" if apart < 0.0 else f"stay {apart:.1f} mm apart"
+    besides = f", and {more} more pair{'s' * (more > 1)}" if more else ""
+    return [
+        f"{worst.link} and {worst.other} {depth} in every configuration{besides}; "
+        f'where that is meant, load the robot with ignore=[("{worst.link}", "{worst.other}")]'
+    ]
+
+
+def standing(robot: Robot, scene: Scene, margin: float) -> tuple[Contact, ...]:
+    """The pairs nearer than `margin` [m] that no joint moves, nearest first: a link that is fixed to the base with an object
+    or with another such link."""
+    still = lambda parts: tuple(part for part in parts if robot.link_joint[part.link] == 0)
+    boxes, volumes = still(robot.boxes), still(robot.volumes)
+    if not boxes and not volumes:
+        return ()
+    pairs = tuple(pair for pair in robot.self_pairs if not any(robot.link_joint[link] for link in pair))
+    fixed = dataclasses.replace(robot, boxes=boxes, volumes=volumes, self_pairs=pairs, pair_tables=())
+    return explain(fixed, scene, default_pose(robot), count=sys.maxsize, below=margin).contacts
+
+
+def _misspelt(robot: Robot, scene: Scene) -> list[str]:
+    """Words on each ignored object that is not there, and has nearly the name of one that is there and not ignored."""
+    told = []
+    for link, name in robot.ignored:
+        others = [each for each in scene.object_names if (link, each) not in robot.ignored]
+        meant = None if name == "*" or name in scene.object_names else nearest(name, others)
+        if meant:
+            told.append(
+                f"scene '{scene.name}' has no object '{name}', which {robot.link_names[link]} ignores; did you mean '{meant}'?"
+            )
+    return told

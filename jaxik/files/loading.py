@@ -16,10 +16,9 @@ from jaxik.collision.scene import Scene
 from jaxik.collision.self_collision_pairs import self_collisions
 from jaxik.files import scene as scene_files
 from jaxik.files.held_joints import Posture
-from jaxik.files.mesh import Meshes
+from jaxik.files.mesh import Meshes, as_packages
 from jaxik.files.mjcf import load_mjcf
 from jaxik.files.notes import Notes
-from jaxik.files.packages import as_packages
 from jaxik.files.robot_files import read_robot
 from jaxik.files.robot_toml import load_toml, read_toml
 from jaxik.files.shipped import locate

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from jaxik.checks.options import check_kind
-from jaxik.collision.always_colliding import warn_of_scene
 from jaxik.collision.clearances import check_geometry
+from jaxik.collision.contact_report import warn_of_scene
 from jaxik.collision.scene import Scene
 from jaxik.harvesting.blocking_objects import unblocked
 from jaxik.harvesting.grid_refinement import recover

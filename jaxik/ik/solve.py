@@ -17,10 +17,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxik.checks.options import check_kind
-from jaxik.collision.always_colliding import warn_of_scene
 from jaxik.collision.bvh import Grouped, decided_within, own_in
 from jaxik.collision.clearances import check_geometry, has_geometry
-from jaxik.collision.contact_report import Contact, explain
+from jaxik.collision.contact_report import Contact, explain, warn_of_scene
 from jaxik.collision.own_shape import told_below
 from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene

@@ -21,7 +21,7 @@ import numpy as np
 
 from jaxik.checks.optional_modules import optional
 from jaxik.checks.options import shown
-from jaxik.collision.always_colliding import warn_of_scene
+from jaxik.collision.contact_report import warn_of_scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.ik.problem import Poses
 from jaxik.ik.solve import IKResult, solved

@@ -7,7 +7,7 @@ import pytest
 from robot_files import POST
 
 import jaxik
-from jaxik.collision.always_colliding import standing_words
+from jaxik.collision.contact_report import standing_words
 
 TARGET = np.eye(4) + np.pad([[0.0], [0.0], [0.5]], ((0, 1), (3, 0)))
 
