@@ -94,7 +94,7 @@ class Judge:
         return {"poses": count, "unsolved": unsolved, "lost": lost, "error": worst, "branches": branches / count}
 
     def beside_eaik(self, count: int) -> dict[str, Any]:
-        """Of random poses, the branches of both that the other one lacks."""
+        """Counts the branches at random poses that each of the two has and the other one lacks."""
         q = configurations(self.robot, count, 99)
         q = q[np.arange(count) % 10 != 0]
         peer, fixed, end = eaik(self.robot)

@@ -82,7 +82,7 @@ def origin(element: ElementTree.Element) -> np.ndarray:
 
 
 def shape(geometry: ElementTree.Element, frame: np.ndarray, folder: Path) -> Any:
-    """What coal makes of a collision element, and the frame it stands in."""
+    """The shape that coal makes of a collision element, and the frame it stands in."""
     kind = next(iter(geometry))
     number = lambda key, default="": np.array([float(x) for x in kind.get(key, default).split()])
     if kind.tag == "mesh":

@@ -220,7 +220,7 @@ class Batched(Peer):
 
 
 class PyRoki(Batched):
-    """Its RobotCollision of these spheres, `vmap`-ed and jitted."""
+    """PyRoki's RobotCollision of these spheres, `vmap`-ed and jitted."""
 
     def __init__(self, robot: jaxik.Robot, urdf: Path, srdf: Path | None):
         super().__init__()

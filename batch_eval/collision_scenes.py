@@ -2,9 +2,9 @@
 
     python batch_eval/collision_scenes.py [--scenes 1000] [--each 20] [--json collision_scenes.json] [robot ...]
 
-In each scene a box, a cylinder and a mesh (a ring, which is hollow) stand within the arm's reach. Of random configurations in
-it the question is whether a link touches one of them: by the capsules that were fitted, and where the meshes decide
-(`exact=True`). Told are the false ones, of those that are free, and the missed. Needs `pip install -e ".[test]"`; the robots
+In each scene a box, a cylinder and a mesh (a ring, which is hollow) stand within the arm's reach. At random configurations the
+question is whether a link touches one of them: by the capsules that were fitted, and where the meshes decide (`exact=True`).
+The script prints the false alarms among the free ones, and the missed contacts. It needs `pip install -e ".[test]"`; the robots
 are those of `collision_models.py`.
 """
 

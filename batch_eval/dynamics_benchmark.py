@@ -75,7 +75,7 @@ def ours(robot: jaxik.Robot, plain: bool = False) -> Functions:
 
 
 def mjx(urdf: Path) -> Functions:
-    """Its smooth dynamics, stage by stage, without the rest of a step."""
+    """MJX's smooth dynamics, stage by stage, without the rest of a step."""
     from mujoco.mjx import full_m, make_data, put_model
     from mujoco.mjx._src import smooth
 
@@ -95,7 +95,7 @@ def mjx(urdf: Path) -> Functions:
 
 
 def frax(urdf: Path) -> Functions:
-    """It has no inverse dynamics: its mass matrix and its bias."""
+    """Frax by its mass matrix and its bias: it has no inverse dynamics."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it advises single-threaded settings, which would slow everyone else
         from frax import Manipulator
@@ -109,7 +109,7 @@ def frax(urdf: Path) -> Functions:
 
 
 def adam(urdf: Path, robot: jaxik.Robot) -> Functions:
-    """Of a base that flies: the joints' part, and forward by solving with it, for its own lets the base go."""
+    """The joints' part of ADAM's floating base; forward dynamics solve with it, for ADAM's own let the base go."""
     from adam.jax import KinDynComputations
 
     gravity = np.array([0.0, 0.0, -9.81, 0.0, 0.0, 0.0])

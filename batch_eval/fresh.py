@@ -1,4 +1,4 @@
-"""What only a fresh process can tell: first calls, cold starts, compile times, memory, threads beside processes."""
+"""Measures what only a fresh process can tell: first calls, cold starts, compile times, memory, threads beside processes."""
 
 from __future__ import annotations
 

@@ -128,7 +128,7 @@ def one(name: str, small: bool) -> dict[str, Any]:
 
 
 def inverse(name: str, counts: tuple[int, ...], small: bool) -> dict[str, Any]:
-    """By the number of targets in a call; the first one compiles."""
+    """Times inverse kinematics by the number of targets in a call; the first one compiles."""
     robot, found = robot_of(name), {}
     for count in counts:
         poses = problems.targets(robot, min(count, 50) if small else count)

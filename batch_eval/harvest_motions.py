@@ -51,7 +51,7 @@ SETUPS = {
 
 
 def least(scene: jaxik.Scene, gone: set[str], balls: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """From balls (..., a, 3), one radius a column, to what is left of the scene, by object (..., objects) [m]."""
+    """The least distance (..., objects) [m] of balls (..., a, 3), one radius a column, to each object left in the scene."""
     left, each = scene.without(list(gone)), np.full((*balls.shape[:-2], len(scene.object_names)), np.inf)
     balls = balls.astype(np.float32)
     points, start, end = (np.asarray(x, np.float32) for x in (left.points.center, left.capsules.a, left.capsules.b))
@@ -76,9 +76,9 @@ def between(balls: np.ndarray, radius: np.ndarray, others: np.ndarray, other_rad
 
 def checked(plan: HarvestPlan, step: float = 1e-3) -> dict[str, float]:
     """The least clearance of a plan [m], the largest shares of the limits, and how many configurations were looked at, between
-    which no ball moves by more than `step` [m]. Of a robot that is boxes alone, and fruits that are capsules.
+    which no ball moves by more than `step` [m]. The robot must be boxes alone, and the fruits capsules.
 
-    What is nearer than the margin to a fruit where it hangs does not count for it until the end of its retreat."""
+    Balls nearer than the margin to a fruit where it hangs do not count for it until the end of its retreat."""
     robot, scene = plan.robot, plan.scene
     one = lambda q: (*jaxik.collision.robot_spheres(robot, q), robot.world_T_base @ jaxik.forward_kinematics(robot, q))
     each = jax.jit(jax.vmap(one))
@@ -139,7 +139,7 @@ def planned(harvested: HarvestResult, judged: bool = False, **how: Any) -> dict[
 
 
 def draw(result: dict[str, Any], path: Path) -> None:
-    """What the seconds of each plan are."""
+    """Draws the seconds of each plan, by kind of motion."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 4.6), layout="constrained")

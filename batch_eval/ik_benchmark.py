@@ -57,7 +57,7 @@ def judge(robot: jaxik.Robot, q: np.ndarray, poses: np.ndarray, *tolerances: flo
 
 
 def timed(run: Callable[[], Any], rounds: int) -> tuple[Any, float, float]:
-    """What `run` returns, the time of its first call, and the median of the others [s]."""
+    """Returns what `run` returns, the time of its first call, and the median of the others [s]."""
     result, first = clocked(run)
     return result, first, float(np.median([clocked(run)[1] for _ in range(rounds)]))
 

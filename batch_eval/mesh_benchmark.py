@@ -123,7 +123,7 @@ def meshes(robot: jaxik.Robot, count: int, rounds: int) -> dict[str, Any]:
 
 
 def agreement(robot: jaxik.Robot, scenes: Any, judges: Any, q: np.ndarray, rows: Any) -> dict[str, Any]:
-    """In float64, where coal says that nothing touches; and how many answers are others than coal's."""
+    """The largest deviation from coal in float64, where nothing touches; and how many answers are others than coal's."""
     counts, off = dict.fromkeys(("configurations", "collide", "wholly inside", "other answers"), 0), 0.0
     with jax.enable_x64(True):
         for around, judge, each, placed in zip(scenes, judges, q, rows, strict=True):

@@ -147,7 +147,7 @@ def scene_of(message: dict[str, Any]) -> jaxik.Scene:
 
 
 def _shapes(item: dict[str, Any], moved: dict[str, np.ndarray]) -> dict[str, list[Any]]:
-    """What `SceneBuilder.add` takes, of one collision object."""
+    """The arguments of `SceneBuilder.add` for one collision object."""
     who, frame = f"object '{item['id']}'", ((item.get("header") or {}).get("frame_id") or "world").lstrip("/")
     if unknown := [kind for kind in ("meshes", "planes") if item.get(kind)]:
         raise ValueError(f"{who} has {' and '.join(unknown)}, which this reader does not know; known: primitives")

@@ -24,7 +24,7 @@ INSTANTANEOUS = jaxik.motions.FollowOptions(
 
 @functools.cache
 def arm() -> jaxik.Robot:
-    """It may pass through itself."""
+    """The pendulum, which may pass through itself."""
     return dataclasses.replace(jaxik.load("pendulum4"), self_pairs=())
 
 

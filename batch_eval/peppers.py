@@ -114,7 +114,7 @@ def followed(robot: jaxik.Robot, poses: list[np.ndarray]) -> np.ndarray:
 
 
 def dynamic_cost(q: np.ndarray) -> np.ndarray:
-    """Of guesses (b, 101, n), by differences (6.6)."""
+    """The dynamic cost (6.6) of guesses (b, 101, n), by differences."""
     step = DURATION / SPANS
     rate = np.gradient(q, step, axis=1)
     weight = FIRST + (LAST - FIRST) * np.linspace(0.0, 1.0, SPANS + 1) ** 2
@@ -150,7 +150,7 @@ class Printed:
         self.solver = ca.nlpsol("printed", "ipopt", {"x": ca.veccat(qs, us), "f": total, "g": zero, "p": ca.vec(goal)}, options)
 
     def _collisions(self, robot: jaxik.Robot, frames: list[Any]) -> tuple[Any, Any]:
-        """What links cost, each by its nearest, to itself and the stem; and the least distance."""
+        """The cost of links, each by its nearest, to the robot itself and the stem; and the least distance."""
         ends, radius = {}, {}
         for volume in robot.volumes:
             frame = frames[robot.link_joint[volume.link]] @ ca.DM(robot.link_offset[volume.link])
@@ -172,7 +172,7 @@ class Printed:
         return total, nearest
 
     def solve(self, q: np.ndarray, rate: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
-        """From samples (101, n): the solution, its cost, iterations, whether it says that it has converged."""
+        """Solves from samples (101, n): the solution, its cost, iterations, whether the solver says that it has converged."""
         low, high = self.limits
         call = lambda: self.solver(
             x0=np.concatenate([q.ravel(), rate.ravel()]), p=goal.T.ravel(), lbx=low, ubx=high, lbg=0.0, ubg=0.0
@@ -199,7 +199,7 @@ def samples(found: TrajectoryResult, count: int = 1001) -> np.ndarray:
 
 
 def judged(robot: jaxik.Robot, peer: Printed, found: TrajectoryResult) -> np.ndarray:
-    """Which motions converged and are free, by CasADi's distances."""
+    """Whether each motion converged and is free, by CasADi's distances."""
     good = np.isfinite(found.cost)
     for i, q in enumerate(samples(found)):
         good[i] = good[i] and peer.free(robot, q)

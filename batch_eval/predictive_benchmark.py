@@ -112,7 +112,7 @@ def oracle(count: int = 200) -> dict[str, float]:
 
 
 def scenarios(count: int = 256) -> list[dict[str, Any]]:
-    """So many starts in one call, beside one alone; float32."""
+    """Times `count` starts in one call, beside one alone; float32."""
     arm = pendulum.arm()
     path, cost = pendulum.path(arm), jaxik.costs.quadratic_cost(position=pendulum.position_cost(arm))
     starts = pendulum.START + 0.05 * np.random.default_rng(0).normal(size=(count, 4))

@@ -41,7 +41,7 @@ class Shown:
 
     @property
     def speed(self) -> np.ndarray:
-        """Of the revolute joints, squared."""
+        """The speed of the revolute joints, squared."""
         first = 1 if self.q.shape[1] == 9 else 0
         return np.sum(self.qdot[:, first:] ** 2, axis=1)
 

@@ -122,14 +122,14 @@ def way(ways: jaxik.motions.Line, i: int) -> jaxik.motions.Line:
 
 
 def timed(run: Any) -> tuple[Any, float]:
-    """What it gives, and the seconds it takes."""
+    """Returns what `run` gives, and the seconds it takes."""
     start = time.perf_counter()
     found = run()
     return found, time.perf_counter() - start
 
 
 def boundary_values(q: np.ndarray, ways: jaxik.motions.Line) -> tuple[np.ndarray, np.ndarray]:
-    """Of each setting the integral of the cost without the effort, infinite where no solution is found; and the seconds.
+    """The integral of the cost without the effort for each setting, infinite where no solution is found; and the seconds.
 
     A mesh may grow to 100 nodes; that of `bvp4c`, which the thesis used, ends at 1000 over the number of equations, that is 62.
     """
@@ -151,7 +151,7 @@ def boundary_values(q: np.ndarray, ways: jaxik.motions.Line) -> tuple[np.ndarray
 
 
 def follow_gradient(q: np.ndarray, ways: jaxik.motions.Line) -> np.ndarray:
-    """What the instantaneous motions cost: ASC by the cost's own gradient, at the samples of the plans, integrated by Euler."""
+    """The cost of instantaneous motions: ASC by the cost's own gradient, at the samples of the plans, integrated by Euler."""
 
     def one(q: Any, way: Any) -> Any:
         def step(q: Any, t: Any) -> Any:

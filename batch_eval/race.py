@@ -101,7 +101,7 @@ def single(function: Callable[..., Any], plain: Callable[..., Any], *args: Any) 
 
 
 def clocked(run: Callable[[], Any]) -> tuple[Any, float]:
-    """What `run` returns, once it is there, and the seconds that this took."""
+    """Returns what `run` returns, once it is there, and the seconds that this took."""
     start = time.perf_counter()
     return jax.block_until_ready(run()), time.perf_counter() - start
 
@@ -133,7 +133,7 @@ def machine() -> dict[str, Any]:
 
 
 def cores() -> list[int]:
-    """Those that this process may use."""
+    """The cores that this process may use."""
     return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
 
 
@@ -148,7 +148,7 @@ def on_cores(count: int, *command: str) -> None:
 
 
 def from_scratch() -> None:
-    """From here on times of compiling are those of compiling: no kernel and no program comes from disk."""
+    """Turns the caches off, so that times of compiling are those of compiling: no kernel and no program comes from disk."""
     os.environ["JAXIK_CACHE"] = "off"
     jax.config.update("jax_enable_compilation_cache", False)
 

@@ -71,7 +71,7 @@ TABLES = {
 
 
 def table(name: str) -> str:
-    """That of a benchmark's JSON file, or the "overview" of them all."""
+    """The table of a benchmark's JSON file, or the "overview" of them all."""
     return overview() if name == "overview" else TABLES[name](_result(name))
 
 

@@ -1,4 +1,4 @@
-"""What a sweep costs, and that nothing is lost: `python batch_eval/sweep_benchmark.py [PART ...]`, on Linux.
+"""Measures what a sweep costs, and that nothing is lost: `python batch_eval/sweep_benchmark.py [PART ...]`, on Linux.
 
 Parts: eaik, between, crop, search, scaling, scene, processes, kills, same. Each part's rows are kept in
 `sweep_benchmark.json`; the others stay as they were. `scene` and `scaling` draw `sweep_scaling.png`. Needs
@@ -93,7 +93,7 @@ def eaik() -> dict[str, Any]:
 
 
 def between() -> dict[str, Any]:
-    """What arms over a rail, a first or last joint, an arm angle, or two of them have between the positions of a grid: random
+    """Answers of arms over a rail, a first or last joint, an arm angle, or two of them between the positions of a grid: random
     poses all around, in any direction, and a grid 100 times denser, which must find nothing that was called out of reach."""
     tiago = panda.ROBOTS / "tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"
     robots = {name: jaxik.load(name) for name in ("p6r", "panda", "iiwa14", "gen3", "ur10e_rail", "panda_lift")}

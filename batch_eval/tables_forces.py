@@ -88,7 +88,7 @@ def torque_markdown(result: dict[str, Any]) -> str:
 
 
 def touch_markdown(result: dict[str, Any]) -> str:
-    """What the thesis' text says of figures 4.6 to 4.8, and the numbers here; contacts anywhere; the analytic course."""
+    """The thesis' text on figures 4.6 to 4.8 beside the numbers here; contacts anywhere; the analytic course."""
     of = {(row["scene"], row["scheme"]): row for row in result["experiments"]}
     near, far = ({scheme: row for (scene, scheme), row in of.items() if scene == kind} for kind in ("avoidable", "inevitable"))
     span = lambda row: f"{row['first_peak_n']:.1f}, {row['dip_after_n']:.1f}, then {row['peak_n']:.1f} N"

@@ -159,7 +159,7 @@ def general_markdown(result: dict[str, Any]) -> str:
 
 
 def _between_rows(result: dict[str, Any]) -> list[str]:
-    """What several arms have between the positions of a grid, and what a denser one finds."""
+    """The rows of what several arms have between the positions of a grid, and of what a denser one finds."""
     lines = [
         "",
         f"Random poses all around, on one {result['cpu']}:",
@@ -211,7 +211,7 @@ def sweep_markdown(result: dict[str, Any]) -> str:
 
 
 def base_markdown(result: dict[str, Any]) -> str:
-    """What grids of bases pick, and what ascents do."""
+    """The table of the fruits that grids of bases pick, and ascents."""
     here, *corners = result["ascents"]
     lines = ["| where to stand | fruits picked | time |", "| --- | --- | --- |"]
     lines.append(f"| where it stands | {result['where_it_stands']} of {result['fruits']} | - |")

@@ -12,7 +12,7 @@ def time_each(row: dict[str, Any]) -> str:
 
 
 def duration(us: float) -> str:
-    """Of a time [us]."""
+    """Words a time [us]."""
     if us < 1.0:
         return f"{1000.0 * us:.0f} ns" if us >= 0.01 else f"{1000.0 * us:.1f} ns"
     return f"{us:.0f} us" if us < 1000.0 else f"{us / 1000.0:.1f} ms"
@@ -24,5 +24,5 @@ def ratio(times: float) -> str:
 
 
 def first_calls(fresh: dict[str, float]) -> str:
-    """Of a process: its first call, and the slowest later one."""
+    """Words a process's first call, and its slowest later one."""
     return f"{fresh['first_s']:.1f} s, {fresh['slowest_later_s']:.1f} s"

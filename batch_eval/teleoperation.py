@@ -175,7 +175,7 @@ def silence() -> dict[str, Any]:
 
 
 def step_time(count: int = 20_000) -> dict[str, float]:
-    """Of the loop on one core [us]: nine joints, a contact, clearance, a cost, waves."""
+    """The time of a step of the loop on one core [us]: nine joints, a contact, clearance, a cost, waves."""
     loop = TeleoperationLoop(teleoperation(channel=WaveVariables(DRAG)), contacts=1)
     state, q, hand = loop.start(POSTURE), POSTURE, strokes(1.0)
     contact = PointForce(np.array([4]), np.array([[0.2, 0.1, 0.9]]), np.array([[0.0, 1.0, 0.0]]))

@@ -108,7 +108,7 @@ def sweep() -> dict[str, Any]:
 
 
 def estimators(swept: dict[str, Any]) -> dict[str, Any]:
-    """Those that are compared."""
+    """The estimators that are compared."""
     fused = known(PROCESS, np.array(swept["best_current_noise"]), np.array(swept["best_torsion_noise"]))
     bare = lambda friction: dataclasses.replace(friction, correction=np.zeros(2))  # without table 3.6
     drives = [dataclasses.replace(d, friction=bare(d.friction)) for d in model().drives]
@@ -149,13 +149,13 @@ def swing(speed: float) -> list[Trajectory]:
 
 
 def swung(arm: int, speed: float, seed: int, pushes: Sequence[Push] = ()) -> SimulatedLog:
-    """What an arm shows while it swings."""
+    """The log of an arm that swings."""
     how = {"model": model(), "instruments": SENSORS, "rest": (0.2, 0.2), "seed": seed}
     return play(arms()[arm], swing(speed), pushes, **how)
 
 
 def memory(estimator: TorqueEstimator) -> int:
-    """Of the slowest joint's filter, in samples."""
+    """The memory of the slowest joint's filter, in samples."""
     return int(3.0 / estimator.filter.gain.min())
 
 
@@ -169,12 +169,12 @@ def fitted(estimator: TorqueEstimator, arm: int) -> Detector:
 
 
 def alarms(detector: Detector, estimator: TorqueEstimator, log: SimulatedLog) -> np.ndarray:
-    """Of each sample and joint (t, n)."""
+    """The alarms of each sample and joint (t, n)."""
     return detect(detector, estimate(estimator, log.samples()), log.qdot_des)
 
 
 def false_alarms(detector: Detector, estimator: TorqueEstimator, arm: int) -> list[list[Judged]]:
-    """In two other swings without contact, of each joint that is judged."""
+    """The alarms in two other swings without contact, of each joint that is judged."""
     raised = [alarms(detector, estimator, swung(arm, speed, 100 + seed)) for seed, speed in enumerate((0.2, 0.45))]
     return [[judge_alarms(each[:, j - 1], np.zeros(len(each), bool), DT) for j in LEVERS] for each in raised]
 

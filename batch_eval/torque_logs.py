@@ -31,7 +31,7 @@ MEASUREMENTS = ((0.15, 60.0), (0.3, 60.0), (0.15, 150.0), (0.3, 150.0))  # faste
 
 @functools.cache
 def model() -> jaxik.Robot:
-    """What the estimator knows."""
+    """The model that the estimator knows."""
     return jaxik.load("crops_v2")
 
 
@@ -80,7 +80,7 @@ def gauge(direction: tuple[float, float, float], stiffness: float) -> Push:
 
 @functools.cache
 def logs(arm: int, pushed: bool) -> list[SimulatedLog]:
-    """Of the four measurements, along a horizontal line and along a vertical one; with the gauge, or free."""
+    """The logs of the four measurements, along a horizontal line and along a vertical one; with the gauge, or free."""
     found = []
     for seed, (speed, stiffness) in enumerate(MEASUREMENTS):
         for direction in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)):
@@ -92,5 +92,5 @@ def logs(arm: int, pushed: bool) -> list[SimulatedLog]:
 
 
 def friction_band(q: np.ndarray) -> np.ndarray:
-    """What static friction hides (n,) [Nm, N] where the arm is held at q; it grows with what the gears carry."""
+    """The torques (n,) [Nm, N] that static friction hides where the arm is held at q; they grow with what the gears carry."""
     return np.asarray(jaxik.dynamics.friction_band(model(), jaxik.dynamics.gravity_torque(model(), q)))

@@ -62,7 +62,7 @@ def model() -> jaxik.Robot:
 
 @functools.cache
 def reaction(scheme: str, **changes: Any) -> Reaction:
-    """By table 4.1; 20 instead of 5 scales joint limits on the acceleration level."""
+    """The reaction of table 4.1; 20 instead of 5 scales joint limits on the acceleration level."""
     soft = np.r_[0.3, np.full(8, np.radians(30.0))] / (model().upper - model().lower)
     alpha = 20.0 if scheme == "rac" else 5.0
     cost = lambda q: jaxik.costs.joint_limit_cost(model(), q, soft=soft)
@@ -104,7 +104,7 @@ def wall() -> SpringContact:
 
 
 def experiments() -> list[dict[str, Any]]:
-    """What the figures show, in numbers."""
+    """The figures in numbers."""
     rows = []
     for scene, scheme in dict.fromkeys((scene, scheme) for scene, schemes in FIGURES.values() for scheme in schemes):
         found = followed(scene, scheme)
@@ -172,8 +172,8 @@ class Draws(NamedTuple):
 
 def anywhere(seed: int = 0) -> tuple[Draws, np.ndarray]:
     """Random postures, lines of 0.1 to 0.4 m in 2 s, and walls of 20 to 500 N/m across the way of a point on links 3 to 6,
-    which comes 0.02 to 0.2 m deep unless it reacts; and the force [N] that this would be. Of 25,000 drawn the first 10,000 that
-    the arm can follow to 1 mm, with less than 2 rad/s, and whose point moves by more than 0.03 m."""
+    which comes 0.02 to 0.2 m deep unless it reacts; and the force [N] that this would be. Kept are the first
+    10,000 of 25,000 that the arm can follow to 1 mm, with less than 2 rad/s, and whose point moves by more than 0.03 m."""
     rng, robot = np.random.default_rng(seed), model()
     middle, half = (robot.upper + robot.lower) / 2, (robot.upper - robot.lower) / 2
     q = middle + 0.5 * half * rng.uniform(-1.0, 1.0, (DRAWN, 9))
@@ -200,7 +200,7 @@ def anywhere(seed: int = 0) -> tuple[Draws, np.ndarray]:
 
 
 def many(how: Reaction, draws: Draws) -> dict[str, np.ndarray]:
-    """What becomes of all contacts, `LANES` a call."""
+    """Simulates all contacts, `LANES` a call."""
 
     @jax.jit
     @jax.vmap
@@ -216,7 +216,7 @@ def many(how: Reaction, draws: Draws) -> dict[str, np.ndarray]:
 
 
 def random_contacts() -> dict[str, Any]:
-    """What becomes of ten thousand contacts, by scheme; of those that come above 5 N unless the arm reacts."""
+    """The outcome of ten thousand contacts, by scheme, for those that come above 5 N unless the arm reacts."""
     draws, unopposed = anywhere()
     pushed, rows = unopposed > 5.0, []
     hows = {scheme: reaction(scheme) for scheme in ("baseline", "rmrc", "rac", "feedback", "multi")}

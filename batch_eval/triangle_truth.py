@@ -1,4 +1,4 @@
-"""What others say of triangles: coal of where they are, solid angles of what they enclose."""
+"""Independent answers about triangles: coal on where they are, solid angles on what they enclose."""
 
 from __future__ import annotations
 

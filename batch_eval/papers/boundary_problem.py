@@ -175,7 +175,7 @@ class _System:
 
     @_compiled
     def judged(self, world: Any, t: Any, z: Any) -> tuple[Any, Any, Any, Any, Any]:
-        """At each node the input, the cost per second, the remainder of dH/dw, the joints' rates and the tip's error."""
+        """The input, the cost per second, the remainder of dH/dw, the joints' rates and the tip's error at each node."""
 
         def at(t: Any, z: Any) -> Any:
             (w, left), y = self.input(world, t, z), jnp.split(z, 2)[0]
@@ -187,7 +187,7 @@ class _System:
 
     @_compiled
     def ends(self, world: Any, a: Any, b: Any, start: Any, basis: Any) -> Any:
-        """What must be 0 of the first and the last z."""
+        """The terms of the first and the last z that must be 0."""
         n = self.robot.num_joints
         (first, adjoint), (_, last) = jnp.split(a, 2), jnp.split(b, 2)
         if not self.horizon.free_start:

@@ -153,7 +153,7 @@ def _checker(robot: jaxik.Robot, scene: jaxik.Scene | None) -> jaxik.spmd.HostKe
 
 
 def _hits(checker: jaxik.spmd.HostKernel, endless: np.ndarray, margin: float, q: np.ndarray) -> np.ndarray:
-    """Which of the configurations (b, n) come nearer than the margin; float32 has few digits left after many turns."""
+    """Whether each configuration (b, n) comes nearer than the margin; float32 has few digits left after many turns."""
     q = q - np.where(endless, 2.0 * np.pi * np.round(q / (2.0 * np.pi)), 0.0)
     return checker.run(q, np.float32(margin), double=False, threads=_pool(), team=TEAM)[0]
 

@@ -34,7 +34,7 @@ class Grid:
 
     @property
     def offsets(self) -> np.ndarray:
-        """From a node to its neighbours (k, n)."""
+        """The steps (k, n) from a node to its neighbours."""
         n = len(self.shape)
         if self.diagonal:
             return np.array([each for each in itertools.product((-1, 0, 1), repeat=n) if any(each)])
@@ -89,12 +89,12 @@ def shortest(
     batch: int = 1,
     most: int = 10**7,
 ) -> Way:
-    """From one node to another over nodes whose configurations (b, n) are `free` (b,), `batch` at a time; from `both` ends at
-    once, or from the start. It is given up after `most` nodes."""
+    """The shortest way between two nodes over nodes whose configurations (b, n) are `free` (b,), `batch` at a time; from `both`
+    ends at once, or from the start. The search is given up after `most` nodes."""
     known = np.zeros(int(np.prod(grid.shape)), np.int8)
 
     def judge(nodes: np.ndarray) -> np.ndarray:
-        """Which of these are free; those that are not known are asked for."""
+        """Whether each of these is free; those that are not known are asked for."""
         unknown = nodes[known[nodes] == _UNKNOWN]
         if len(unknown):
             known[unknown] = np.where(free(grid.configurations(unknown)), _FREE, _HIT)
@@ -125,8 +125,8 @@ def shortest(
 
 
 class _Search:
-    """From a root towards a goal: the cost of each node that was reached, and by which of the offsets; and those that are open,
-    in bins by f, so that many are put in and taken out at once."""
+    """A search from a root towards a goal: the cost of each node that was reached, and by which of the offsets; and those that
+    are open, in bins by f, so that many are put in and taken out at once."""
 
     def __init__(self, grid: Grid, root: int, goal: int, weight: float, euclidean: bool):
         self.grid, self.goal, self.weight, self.euclidean = grid, grid.places(np.array([goal]))[0], weight, euclidean
@@ -140,7 +140,7 @@ class _Search:
 
     @property
     def least(self) -> float:
-        """Not more than any open node's f."""
+        """A lower bound of the open nodes' f."""
         return min(self.bins) * self.width if self.bins else np.inf
 
     def expand(self, judge: Callable[[np.ndarray], np.ndarray], batch: int) -> np.ndarray:

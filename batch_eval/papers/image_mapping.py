@@ -1,4 +1,4 @@
-"""From pixels of an image to places in the field: a polynomial through measured pairs.
+"""Maps pixels of an image to places in the field: a polynomial through measured pairs.
 
 IJE 2022, sec. 2.3 fits a quadratic to four pairs (table 2): y = 0.0667 x^2 - 24.664 x + 2546.5, R^2 = 0.9995 (eq. 3).
 """

@@ -112,7 +112,7 @@ class DynamicsArguments(RobotArguments):
 
 
 def demanded(robot: Robot, motion: Motion, gravity: tuple[float, float, float]) -> Demand:
-    """What a motion (i, n) demands."""
+    """The demand of a motion (i, n)."""
     every = lambda of, *x: np.asarray(jax.jit(jax.vmap(of))(*x))
     with jax.enable_x64(True):
         torque = every(lambda *x: inverse_dynamics(robot, *x, gravity=gravity), *motion.state)

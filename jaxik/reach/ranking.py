@@ -1,4 +1,4 @@
-"""What is asked of a posture among obstacles, and what makes one better than another: its clearance, and how free it is."""
+"""The demands on a posture among obstacles, and its rank: by its clearance, and by how free it is."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jaxik.spmd import HostKernel
 
 
 class PostureOptions(Options, who="posture"):
-    """Which postures count, and how they are ranked:
+    """The postures that count, and how they are ranked:
 
         score = clearance_weight * min(D, reach) / reach + freedom_weight * F
 

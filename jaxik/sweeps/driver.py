@@ -37,8 +37,8 @@ AHEAD = 2  # chunks at a time in this process: what one does on the host alone, 
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class SweepResult(Reasoned):
-    """What a call of `sweep` ended with: the store at `path`, its study, and how many chunks of it are `done`, of how many. It
-    is true once all are."""
+    """The end of a call of `sweep`: the store at `path`, its study, and how many chunks of it are `done`, of how many. It is
+    true once all are."""
 
     path: Path
     study: Study

@@ -157,7 +157,7 @@ def _read(table: Table, folder: Path) -> Study:
 
 
 def _made(row: Table, mend: str, make: Callable[..., Made], *given: Any, **named: Any) -> Made:
-    """What is made of a table's values. Where they are refused, so is the table."""
+    """Makes something of a table's values. Where they are refused, so is the table."""
     try:
         return make(*given, **named)
     except ValueError as error:
