@@ -53,7 +53,7 @@ def optimised():
 
 @pytest.fixture
 def untyped():
-    """What a user sees, whose mistakes the tests' own types would be the first to refuse."""
+    """The library as a user has it: the tests' own types would be the first to refuse mistakes."""
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)
@@ -61,7 +61,7 @@ def untyped():
 
 @pytest.fixture
 def only_kernels(monkeypatch):
-    """What goes to XLA after all would be compared with itself."""
+    """Refuses what goes to XLA after all: it would be compared with itself."""
 
     def refused(traced, why):
         raise AssertionError(f"{traced.name}: a kernel cannot do {why}")

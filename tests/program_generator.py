@@ -31,7 +31,7 @@ backward.defvjp(lambda x: (x * x, x), lambda x, g: (2.0 * g * x,))
 
 
 def _until(x, y):
-    """As often as the numbers say."""
+    """A loop that turns as often as the numbers say."""
     return lax.while_loop(lambda c: (c[1] < 6) & (jnp.sum(c[0]) < 3.0), lambda c: (c[0] + jnp.abs(y), c[1] + 1), (x, 0))[0]
 
 
@@ -172,7 +172,7 @@ class Case(NamedTuple):
 
     @property
     def eps(self) -> float:
-        """What its results are good to: one step goes through float32."""
+        """The precision of the results: one step goes through float32."""
         return float(np.finfo(np.float32 if "narrow" in dict(self.steps) else self.dtype).eps)
 
     def rows(self, seed: int) -> list[np.ndarray]:
@@ -189,7 +189,7 @@ class Case(NamedTuple):
         return [x.astype(self.dtype), y.astype(self.dtype), i.astype(np.int32), b]
 
     def function(self, change: Callable[[Any], Any]) -> Callable[..., Any]:
-        """What is compared, of one configuration; `change` makes a kernel of the program, or leaves it."""
+        """The function that is compared, of one configuration; `change` makes a kernel of the program, or leaves it."""
         run = program(self.steps)
         if self.way == "value":
             return change(run)
@@ -238,7 +238,7 @@ def disagreement(found: Any, expected: Any, moved: Sequence[Any], eps: float | N
 
 
 def _sizes(results: Any) -> np.ndarray:
-    """Of each row the largest number in it, values beside derivatives, or 1: what rounding is measured by."""
+    """The largest number in each row, values beside derivatives, or 1: what rounding is measured by."""
     floats = [np.asarray(x) for x in jax.tree.leaves(results) if np.asarray(x).dtype.kind == "f"]
     rows = [np.where(np.isfinite(x), np.abs(x), 0.0).reshape(len(x), -1).max(axis=1) for x in floats]
     return np.max([np.ones(len(rows[0])), *rows], axis=0)
@@ -266,7 +266,7 @@ def judged(seeds: Sequence[int]) -> list[tuple[Case, str]]:
 
 
 def _by_good_code(case: Case, rows: Sequence[np.ndarray]) -> Any:
-    """What XLA says where it optimises."""
+    """The results of XLA where it optimises."""
     quick = jax.config.values["jax_disable_most_optimizations"]
     jax.config.update("jax_disable_most_optimizations", False)
     try:
@@ -276,7 +276,7 @@ def _by_good_code(case: Case, rows: Sequence[np.ndarray]) -> Any:
 
 
 def _wide(case: Case, rows: Sequence[np.ndarray], like: Any) -> Any:
-    """What float64 says, in the types of the results."""
+    """The results in float64, in the types of those to compare."""
     exact = case._replace(dtype=np.dtype(np.float64))
     (found,) = together([exact], lambda f: f)([[x.astype(np.float64) if x.dtype.kind == "f" else x for x in rows]])
     return jax.tree.map(lambda x, y: np.asarray(x).astype(y.dtype), found, like)

@@ -1,4 +1,4 @@
-"""What a user writes, against the installed package: it runs, and `mypy --strict` accepts it (`.ci/run`)."""
+"""A user's program, against the installed package: it runs, and `mypy --strict` accepts it (`.ci/run`)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import jaxik
 
 
 def height(robot: jaxik.Robot, q: jax.Array) -> jax.Array:
-    """Of the tip [m]; traced."""
+    """The height of the tip [m]; traced."""
     tip: jax.Array = jaxik.forward_kinematics(robot, q)
     return jnp.sum(tip[2, 3])
 

@@ -186,7 +186,7 @@ def test_what_a_folder_lacks_is_named(tmp_path):
 
 
 def test_joints_beside_the_robot_stand_where_the_problem_has_them(tmp_path):
-    """At the start, which has the other arm at 0.5, not at its goal; a problem that has it elsewhere says so."""
+    """The other arm stands at 0.5, as at the start, not at its goal; a problem that has it elsewhere says so."""
     start = {"joint_state": {"name": ["left", "nothing"], "position": [0.7, 1.0]}}
     other = {"start_state": start, "goal_constraints": [_constraints(shoulder=0.1, elbow=0.2)]}
     others = {"shelf_two/request0002.yaml": other, "shelf_two/scene0002.yaml": {"world": None}}

@@ -179,7 +179,7 @@ def test_what_hides_a_fruit_is_named():
 
 
 def test_units_are_said(harvested, tmp_path, monkeypatch, capsys):
-    """In the table, where brackets once were taken for a style, and in the header; the arrays keep their names."""
+    """The table, which once took brackets for a style, and the header say them; the arrays keep their names."""
     monkeypatch.setenv("COLUMNS", "240")
     monkeypatch.setattr("jaxik.view.plot_harvest", draws)
     _print_table(dataclasses.replace(harvested, scene=dataclasses.replace(harvested.scene, name="bench [red]")))
@@ -193,7 +193,7 @@ def test_units_are_said(harvested, tmp_path, monkeypatch, capsys):
 
 
 def test_names_and_numbers_of_a_wide_table_are_not_cut(monkeypatch, capsys):
-    """Of an arm of eight joints with long names: the leaves to take away are what the table is for."""
+    """An arm of eight joints with long names fits: the leaves to take away are what the table is for."""
     monkeypatch.setenv("COLUMNS", "80")
     headings = (
         "fruit",
@@ -244,7 +244,7 @@ MESHES = """<robot name="arm"><link name="base"><collision><geometry><mesh filen
 
 
 def test_meshes_are_asked_for(tmp_path, monkeypatch, capsys):
-    """What a scene needs is said before anything compiles, and can be given."""
+    """A scene's need of meshes is said before anything compiles, and they can be given."""
     monkeypatch.setattr(cli, "compilation_cache", lambda: None)
     file, targets = write(tmp_path, "arm.urdf", MESHES), write(tmp_path, "targets.csv", "x,y,z\n0.4,0.1,0.4\n")
     trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "box.stl")
@@ -289,7 +289,7 @@ def test_drivers_say_what_is_missing_before_they_compile(monkeypatch):
 
 
 def test_a_cell_without_a_fruit(tmp_path, monkeypatch, capsys):
-    """It is in the way of inverse kinematics and of a sweep; only a harvest needs fruits."""
+    """The cell is in the way of inverse kinematics and of a sweep; only a harvest needs fruits."""
     monkeypatch.setattr(cli, "compilation_cache", lambda: None)
     cell, targets = tmp_path / "cell.toml", tmp_path / "targets.csv"
     cell.write_text('name = "cell"\n[[object]]\nname = "table"\nboxes = [[0.5, 0, -0.1, 1, 1, 0.1]]\n')

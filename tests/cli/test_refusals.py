@@ -1,4 +1,4 @@
-"""What cannot be done, or written, is told in one line that names it, before the work where that can be known."""
+"""Tasks that cannot be done, or written, are told in one line that names them, before the work where that can be known."""
 
 import errno
 import os

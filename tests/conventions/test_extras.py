@@ -1,4 +1,4 @@
-"""What only an extra installs: where it is not, one line names the extra."""
+"""Where a package that only an extra installs is not there, one line names the extra."""
 
 import sys
 from pathlib import Path

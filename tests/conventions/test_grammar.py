@@ -32,7 +32,7 @@ SHOWN = {id(what) for package in public.packages() for what in public.names(pack
 
 
 def faults(name, function):
-    """What is said in another grammar."""
+    """Yields what is said in another grammar."""
     given = inspect.signature(function).parameters
     for each in given.values():
         optional = each.default is not each.empty

@@ -29,7 +29,7 @@ DTYPES = ("f8", "f4", "i8", "i4", "u1", "?", "c16", "O", "U3")
 
 @st.composite
 def arrays(draw):
-    """Of any shape up to three axes (an axis may be empty) and of many dtypes; as arrays and as nested lists."""
+    """Arrays of any shape up to three axes (an axis may be empty) and of many dtypes; as arrays and as nested lists."""
     shape = draw(st.lists(st.sampled_from([0, 1, 2, 3, 4, 6, 7]), max_size=3))
     values = (
         np.full(shape, draw(ODD)) if draw(st.booleans()) else np.random.default_rng(draw(st.integers(0, 9))).normal(size=shape)
@@ -41,7 +41,7 @@ def arrays(draw):
 
 @pytest.fixture(autouse=True, scope="module")
 def _without_the_tests_own_types():
-    """What users have: the library without the hook that checks its annotations."""
+    """The library as users have it, without the hook that checks its annotations."""
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)
@@ -52,7 +52,7 @@ cheap = settings(max_examples=60, deadline=None, derandomize=True)
 
 
 def answer(function, *given):
-    """What comes, or None where it is refused in one line that does not end in a data dump."""
+    """Returns the answer, or None where it is refused in one line that does not end in a data dump."""
     try:
         with np.errstate(all="ignore"), jax.enable_x64(True):
             return function(*given)
@@ -142,7 +142,7 @@ ZEROS = np.zeros(2)
 
 
 def refused(words, function, *given, **options):
-    """In one line that says so."""
+    """Checks that the call is refused in one line that says so."""
     with jax.enable_x64(True), pytest.raises(ValueError, match=words) as error:
         function(*given, **options)
     assert "\n" not in str(error.value) and len(str(error.value)) < 400
@@ -155,7 +155,7 @@ def test_weights_are_above_zero(made, weights):
 
 
 def test_weights_and_accelerations_are_one_a_joint():
-    """Those of joints that a robot does not have were left out without a word."""
+    """Numbers for joints that a robot does not have are refused; they were left out without a word."""
     for weights in ((1.0,), (1.0, 2.0, 3.0)):
         follow = jaxik.motions.FollowOptions(dt=0.1, task=XY, weights=weights)
         refused(r"weights .* planar2 .*; allowed: \(2,\)", jaxik.follow, ARM, LINE, 1.0, ZEROS, options=follow)
@@ -171,7 +171,7 @@ def test_weights_and_accelerations_are_one_a_joint():
 
 @pytest.mark.parametrize("frame", [MIRRORED, SCALED, np.full((4, 4), np.nan)])
 def test_a_path_of_no_rigid_frame(frame):
-    """It was followed, as what it is not; where it is traced, or got there behind the constructor, it has a reason."""
+    """The path is refused; where it is traced, or got there behind the constructor, it has a reason."""
     refused("line: end is no rigid frame", jaxik.motions.Line, np.eye(4), frame)
     refused("arc: start is no rigid frame", jaxik.motions.Arc, frame, np.zeros(3), np.ones(3), 1.0)
     line = eqx.tree_at(lambda path: path.end, LINE, frame)
@@ -185,7 +185,7 @@ def test_a_path_of_no_rigid_frame(frame):
 
 @pytest.mark.parametrize("entry", [1e300, np.inf, np.nan, -1.0])
 def test_a_curve_through_no_pose(entry):
-    """Of one that held infinity the nearest rotation was looked for, without end."""
+    """The curve is refused; for one that held infinity the search for the nearest rotation did not end."""
     poses = np.stack([np.eye(4)] * 2)
     poses[1, :2, :2], poses[1, :3, 3] = [[0.8, -0.6], [0.6, 0.8]], 1.0
     poses[1, 0, 0] = entry
@@ -223,7 +223,7 @@ def test_options_of_motions_and_scans(made, data):
 @cheap
 @given(st.sampled_from(("q", "qdot", "u", "weights", "pose", "velocity", "gain")), ANYTHING)
 def test_resolved_rates(name, value):
-    """Of an array that was too long the rest was left out."""
+    """An array that is too long is refused; its rest was left out."""
     shapes = {"pose": (4, 4), "velocity": (6,), "gain": ()}
     if plain(value, *shapes.get(name, (2,))) or (name in ("qdot", "u", "weights") and value is None):
         return
@@ -298,7 +298,7 @@ def test_one_line_says_what_reads_a_file():
 
 
 def test_a_tensor_of_torch_is_an_array_of_numbers():
-    """As lists are: here and in what they call, whatever its width."""
+    """A tensor is taken as lists are, here and in what they call, whatever its width."""
     import torch
 
     q = np.array([0.3, -0.4])

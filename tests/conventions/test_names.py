@@ -1,4 +1,4 @@
-"""What is public is there after `import jaxik`, and says where it runs."""
+"""Public names are there after `import jaxik`, and say where they run."""
 
 import importlib
 import inspect
@@ -26,7 +26,7 @@ def test_a_face_shows_what_it_names(package):
 
 @pytest.mark.parametrize("package", ["", *(n for n in jaxik.__all__ if hasattr(getattr(jaxik, n), "__all__"))])
 def test_docstrings_say_where_they_run(package):
-    """In their first paragraph, as a sentence of its own; `jaxik` says what the words mean."""
+    """The first paragraph says it, as a sentence of its own; `jaxik` says what the words mean."""
     face = importlib.import_module(f"jaxik.{package}".rstrip("."))
     functions = {name: inspect.unwrap(getattr(face, name)) for name in face.__all__}
     first = {name: inspect.getdoc(f).partition("\n\n")[0] for name, f in functions.items() if inspect.isfunction(f)}

@@ -29,7 +29,7 @@ def test_the_readme_is_a_page():
 
 
 def test_the_readme_has_two_commands_that_do_everything():
-    """Of which `.ci/run` reads each, as it stands there."""
+    """The script `.ci/run` reads each of them, as it stands there."""
     first, second = re.search(r"```\n(pip install .*)\n(pip install .*)\n```", (HERE.parent / "README.md").read_text()).groups()
     assert first.endswith("jaxik harvest") and second.endswith("pytest")
 

@@ -1,4 +1,4 @@
-"""Which answers are different ones, against the rule itself: the best first, and none that is near one before it."""
+"""Different answers are told apart as by the rule itself: the best first, and none that is near one before it."""
 
 import numpy as np
 import pytest

@@ -87,7 +87,7 @@ def test_alone_and_in_any_batch_the_same(panda):
 
 
 def test_progress_counts_targets(panda, monkeypatch):
-    """In parts, which change no answer."""
+    """Progress comes in parts, which change no answer."""
     targets, told = reachable(panda, 5), []
     whole = jaxik.solve_ik(panda, targets)
     monkeypatch.setattr("jaxik.ik.solve.TOLD", 2)
@@ -669,7 +669,7 @@ def _at(x, y, z):
 
 
 def test_a_descent_may_be_traced(panda):
-    """From seeds near by, in a batch, inside jit; judged by Pinocchio."""
+    """A descent from seeds near by lands, in a batch, inside jit; judged by Pinocchio."""
     rng = np.random.default_rng(11)
     q = rng.uniform(*joint_range(panda), (64, 7))
     poses = np.array([pinocchio(panda)(x) for x in q])
@@ -686,7 +686,7 @@ def test_a_descent_may_be_traced(panda):
 
 
 def test_a_scene_asks_nothing_of_what_none_collides_with():
-    """As many joints as the task binds, and no posture that collides: there is no branch to hop to from nowhere."""
+    """With as many joints as the task binds, and no posture that collides, there is no branch to hop to from nowhere."""
     arm = dataclasses.replace(jaxik.load("planar2"), lower=np.array([-0.5, 0.2]), upper=np.array([0.5, 1.0]))
     in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
     beyond = np.asarray(jaxik.forward_kinematics(arm, np.array([2.0, 0.5])))

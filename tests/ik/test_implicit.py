@@ -50,7 +50,7 @@ def close(derivative, ends, middle):
 
 
 def derivative(function, by=jax.jacfwd):
-    """Of a solution `function(p, target, q)` by p, and whether it is defined: one program."""
+    """The derivative of a solution `function(p, target, q)` by p, and whether it is defined: one program."""
 
     def both(p, target, q):
         found = lambda p: (lambda f: (f.q, f.defined))(function(p, target, q))

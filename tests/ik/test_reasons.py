@@ -1,4 +1,4 @@
-"""What a target without an answer is told, against targets that have one by construction: poses of Pinocchio's."""
+"""The reasons of targets without an answer, against targets that have one by construction: poses of Pinocchio's."""
 
 import dataclasses
 

@@ -186,7 +186,7 @@ def test_velocity_level_jumps(pendulum, to):
 
 
 def test_a_path_that_begins_elsewhere_is_told():
-    """It fails at its first sample, and a line says why."""
+    """The path fails at its first sample, and a line says why."""
     arm, q = jaxik.load("planar2"), np.array([0.3, 0.5])
     start = np.array(jaxik.forward_kinematics(arm, q), np.float64)
     start[0, 3] -= 0.05
@@ -208,7 +208,7 @@ CALM = quadratic_cost()
 
 
 def judged_motions(robot, path, cost=CALM):
-    """By all that predict: a horizon as long as the path, and a moving one."""
+    """Motions by all that predict: a horizon as long as the path, and a moving one."""
     options = PredictOptions(dt=0.02, count=50, task=IN_PLANE, descend=jaxik.optimise.DescentOptions(iterations=2))
     yield jaxik.predict(robot, path, 1.0, START, cost, options=options)
     yield PredictiveController(robot, cost, options=options, count=5).follow(path, 1.0, START)

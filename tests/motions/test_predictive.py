@@ -168,7 +168,7 @@ def test_a_path_of_another_shape_is_refused(path, name, value, words):
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, np.nan, np.inf])
 def test_a_path_takes_time(duration, pendulum, line):
-    """It stood still for a negative one, without a word."""
+    """A duration that is not positive is refused; the path stood still for a negative one, without a word."""
     horizon = PredictOptions(dt=0.1, count=20, task=IN_PLANE, descend=DescentOptions(iterations=5))
     calls = [
         lambda: line.at(0.5, duration),
@@ -375,7 +375,7 @@ def test_whatever_the_input_the_tip_keeps_to_its_path(pendulum, line):
 
 @pytest.mark.parametrize(("dt", "most"), [(0.01, 2e-4), (0.04, 3e-3)])
 def test_the_tip_is_held_unless_told_otherwise(dt, most, pendulum):
-    """It is off by what one of Euler's steps loses, half its acceleration times dt^2, not by the sum of all."""
+    """The tip is off by what one of Euler's steps loses, half its acceleration times dt^2, not by the sum of all."""
     start, end, count = np.array([1.0, 2.0 + np.sqrt(3.0)]), np.array([0.5, 0.0]), round(4.0 / dt)
     path = Line(*(pin.SE3(np.eye(3), np.array([*p, 0.0])).homogeneous for p in (start, end)))
     horizon = PredictOptions(dt=dt, count=count, task=IN_PLANE, descend=DescentOptions(iterations=5))

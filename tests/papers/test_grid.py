@@ -57,7 +57,7 @@ def test_as_short_as_dijkstra(seed):
 
 
 def test_nodes_are_judged_when_they_are_expanded():
-    """As in the paper; and a search gives up where it is told to."""
+    """Nodes are judged as in the paper; and a search gives up where it is told to."""
     grid = Grid(np.zeros(2), np.ones(2), (30, 30))
     asked = []
 
@@ -100,7 +100,7 @@ def test_where_the_start_is_the_goal_nothing_moves():
 
 
 def test_a_joint_without_limits_on_a_grid():
-    """It takes the shorter turn, from wherever it is: nodes from -pi to pi, and none beyond, would know neither."""
+    """The joint takes the shorter turn, from wherever it is: nodes from -pi to pi, and none beyond, would know neither."""
     robot = dataclasses.replace(ARM, lower=np.array([-2.8, -np.inf]), upper=np.array([2.8, np.inf]))
     for turns in (0, 20):
         begin, end = (np.array([0.5, x + 2.0 * np.pi * turns]) for x in (3.0, -3.0))

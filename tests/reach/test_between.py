@@ -34,7 +34,7 @@ def test_a_denser_grid_finds_nothing_that_was_called_out_of_reach(name):
 
 
 def test_an_arm_with_few_decimals_is_not_proven_away_from_its_own_poses():
-    """At the corners of its limits, where nothing is to spare; and what is far away is proven to be."""
+    """The poses lie at the corners of its limits, where nothing is to spare; and what is far away is proven to be."""
     robot, rng = jaxik.load("iiwa14"), np.random.default_rng(8)
     frames, n = np.array(robot.parent_T_joint), robot.num_joints
     frames[:, :3, :3] = frames[:, :3, :3] @ Rotation.from_rotvec(4e-10 * rng.normal(size=(n, 3))).as_matrix()

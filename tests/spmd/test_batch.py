@@ -35,6 +35,6 @@ print("child", os.waitstatus_to_exitcode(status))
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_threads_live_in_a_fork():
-    """Of a process whose threads have run, and have work under way: the child's own begin anew. JAX's do not, and it warns."""
+    """The fork of a process whose threads have run, with work under way, begins its own anew. JAX's do not, and it warns."""
     found = subprocess.run([sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=120)
     assert found.stdout == "child 0\n", (found.stdout, found.stderr)

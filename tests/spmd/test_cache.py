@@ -1,4 +1,4 @@
-"""What is kept on disk is machine code and will run: whose it must be, where it may lie, and what becomes of what is no use."""
+"""The cache on disk is machine code and will run: whose it must be, where it may lie, and what becomes of what is no use."""
 
 import hashlib
 import os
@@ -28,7 +28,7 @@ def nowhere(monkeypatch):
 
 @pytest.fixture
 def homeless(nowhere, monkeypatch):
-    """As in a container whose user is in no list."""
+    """A user without a home, as in a container whose user is in no list."""
 
     def home():
         raise RuntimeError("Could not determine home directory.")

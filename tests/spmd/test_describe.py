@@ -1,4 +1,4 @@
-"""What is said of a function is what is made of it."""
+"""A function's description is what is made of it."""
 
 import jax
 import jax.numpy as jnp

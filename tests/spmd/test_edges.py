@@ -258,7 +258,7 @@ asked = lambda x: lax.cond(x[0] > 0, lambda: normed(x) * x[0], lambda: clipped(x
 
 @pytest.mark.parametrize("function", [clipped, normed, decayed, stacked, asked, lambda x: spmd.kernel(clipped)(x) * x])
 def test_a_rule_that_is_not_linear_has_no_matrix(function):
-    """What comes back is clipped or scaled as it is, not as a unit vector is."""
+    """A cotangent is clipped or scaled as it is, not as a unit vector is."""
     x = jnp.array([[1.0, -2.0, 0.5], [-1.0, 0.3, 0.7]])
     slope = lambda f: jax.vmap(jax.grad(lambda x: 5.0 * jnp.sum(f(x))))
     np.testing.assert_allclose(slope(spmd.kernel(function))(x), slope(function)(x), rtol=1e-5)

@@ -1,4 +1,4 @@
-"""What XLA calls, called by hand: offsets, refusals, threads that are there or not, and what is left as it was."""
+"""The handler that XLA calls, called by hand: offsets, refusals, threads that are there or not, and what is left as it was."""
 
 import ctypes
 import re
@@ -215,7 +215,7 @@ def test_threads_that_are_not_there(entry, pool, destroyed, tasks):
 
 
 def test_denormals_are_flushed_inside_only():
-    """As XLA has them on its threads; what NumPy computes on this thread afterwards is not touched."""
+    """Denormals are flushed as on XLA's threads; what NumPy computes on this thread afterwards is not touched."""
     tiny, half = np.full((40, 1), 1e-39, np.float32), np.float32(0.5)
     kernel = spmd.HostKernel(lambda x: x * 3.0, 1)
     before = tiny * half
@@ -226,7 +226,7 @@ def test_denormals_are_flushed_inside_only():
 
 
 def test_a_result_of_many_pages():
-    """For which large ones are asked."""
+    """Large pages are asked for it."""
     x = np.random.default_rng(0).normal(size=(140_000, 1)).astype(np.float32)
     found = jax.jit(jax.vmap(spmd.kernel(lambda x: x[0] * jnp.arange(1.0, 17.0, dtype=np.float32))))(x)
     assert found.nbytes > 2 * handler.LARGE

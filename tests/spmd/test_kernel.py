@@ -57,7 +57,7 @@ DERIVATIVES = {
 
 @pytest.mark.parametrize("name", DERIVATIVES)
 def test_derivatives(name):
-    """Of a batch by batched and by shared operands, against the same function without the kernel."""
+    """Derivatives of a batch by batched and by shared operands are those of the same function without the kernel."""
     of_kernel, of_arm = DERIVATIVES[name](KERNEL), DERIVATIVES[name](arm)
     for axes, lengths in (((0, 0), LENGTHS), ((0, None), LENGTHS[0])):
         expected = jax.jit(jax.vmap(of_arm, axes))(Q, lengths)
@@ -83,7 +83,7 @@ def test_the_way_back_through_loops_is_a_kernel_too(name):
 
 
 def test_a_custom_vjp_is_followed():
-    """Its rule is three times the derivative, so that it is seen; it has no way forward."""
+    """The rule is three times the derivative, so that it is seen; it has no way forward."""
     rule = jax.custom_vjp(jnp.sin)
     rule.defvjp(lambda x: (jnp.sin(x), x), lambda x, g: (3 * g * jnp.cos(x),))
     for function in (lambda q: 2 * rule(q), lambda q: jnp.sum(rule(q))):
@@ -173,7 +173,7 @@ def test_both_widths():
 
 
 def test_traced_outside():
-    """What a kernel closes over may be traced: it is an operand then."""
+    """A value that a kernel closes over may be traced: it is an operand then."""
 
     def total(lengths):
         return jnp.sum(jax.vmap(spmd.kernel(lambda q: arm(q, lengths)[1]))(Q))
@@ -292,7 +292,7 @@ def test_a_fork_goes_on():
 
 
 def test_pickle():
-    """Of a kernel that has run, as Dask sends what a script defines; and of a robot, whose kernels the other process makes."""
+    """A kernel that has run is sent as Dask sends what a script defines; so is a robot, whose kernels the receiver makes."""
     robot, q = jaxik.load("planar2"), Q[0, :2]
     for kernel in (jaxik.forward_kinematics, spmd.kernel(lambda robot, q: q * robot.num_joints, models=1)):
         there, same = cloudpickle.loads(cloudpickle.dumps((kernel, robot))) if kernel(robot, q) is not None else ()
@@ -475,7 +475,7 @@ def test_what_a_loop_stacks_is_written_row_by_row(dtype, turns):
 
 
 def test_quick_code_has_the_same_bits(monkeypatch):
-    """What a program too large for LLVM's good code gets."""
+    """A program too large for LLVM's good code gets quick code."""
     monkeypatch.setattr(cache, "cache_folder", lambda: None)
     monkeypatch.setattr(call, "QUICK", 30_000)  # the tests' own set-up asks for quick code alone
     good = jax.jit(jax.vmap(spmd.kernel(lambda q, a: arm(q, a)[1])))(Q, LENGTHS)

@@ -11,7 +11,7 @@ TABLE = jnp.linspace(0.0, 1.0, 600)
 
 
 def turns(x, count):
-    """As many turns as `count` says, which differ from lane to lane; and what they began with."""
+    """Makes as many turns as `count` says, which differ from lane to lane; and returns what they began with, too."""
     found = jax.lax.while_loop(lambda s: s[0] < count, lambda s: (s[0] + 1, jnp.sin(s[1]) + x[1]), (0, x[0]))
     return {"turned": found[1], "from": x}
 

@@ -131,7 +131,7 @@ def test_integers(name, dtype):
 @pytest.mark.parametrize("dtype", [np.int32, np.uint32, np.int64])
 @pytest.mark.parametrize("operation", [lax.div, lax.rem, lax.shift_left, lax.shift_right_logical, lax.shift_right_arithmetic])
 def test_division_and_shifts_as_xla_has_them(operation, dtype):
-    """By 0, by more than there are bits, the smallest by -1: XLA defines them, NumPy does not."""
+    """Division by 0, shifts by more than there are bits, the smallest by -1: XLA defines them, NumPy does not."""
     values = np.array(INTEGERS, np.int64).astype(dtype)
     x, y = (v.ravel() for v in np.meshgrid(values, values))
     same(lanes(operation, x, y), jax.jit(operation)(x, y))
@@ -154,7 +154,7 @@ def test_conversions_are_of_whole_vectors():
 
 @pytest.mark.parametrize("dtype", WIDTHS)
 def test_constants_are_converted_as_operands_are(dtype):
-    """What is beyond a type's range is its end, NaN is 0; XLA has it so for operands, and folds constants likewise."""
+    """A number beyond a type's range is its end, NaN is 0; XLA has it so for operands, and folds constants likewise."""
     x = np.array([*EDGES, 300.7, -300.7, 2.0**31, -(2.0**63), 2.0**64], dtype)
     whole = (np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.int64, np.uint64)
     to = lambda x: [lax.convert_element_type(x, t) for t in whole]

@@ -75,7 +75,7 @@ def test_joints_near_their_limits_are_coloured(page):
 
 
 def test_a_game_pad_of_the_browser_moves_the_tip(page):
-    """What the page's script writes, without a browser: `view_page.py` has one."""
+    """The field is given what the page's script writes, without a browser: `view_page.py` has one."""
     pad = page.steering.device.pad
     page.move(np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1]))
     time.sleep(5 * PERIOD)

@@ -81,7 +81,7 @@ def lab(colour, eyes):
 
 @pytest.mark.parametrize("eyes", [np.eye(3), DEUTERANOPIA, PROTANOPIA], ids=["all", "no green", "no red"])
 def test_reasons_are_told_apart(eyes):
-    """In colour, and by their lightness alone, as a grey print has it."""
+    """Reasons differ in colour, and by their lightness alone, as a grey print has it."""
     for a, b in itertools.combinations([*COLOURS.values(), PARTLY], 2):
         assert np.linalg.norm(lab(a, eyes) - lab(b, eyes)) > 15.0, (a, b)
         assert eyes is not np.eye(3) or abs(lab(a, eyes)[0] - lab(b, eyes)[0]) > 9.0, (a, b)
@@ -171,7 +171,7 @@ def test_a_posture_is_exact_and_its_sliders_are_rounded(page):
 
 
 def test_a_robot_without_shapes_has_its_joints():
-    """What is not known is said, and a target is followed all the same."""
+    """The unknown clearance is said, and a target is followed all the same."""
     robot = dataclasses.replace(jaxik.load("p6r"), boxes=())
     page = Page(robot, scene=jaxik.load_scene("cucumber_row"), port=0)
     assert "Clearance unknown. p6r: has no collision geometry" in page.near.content and not page.drawing.parts
