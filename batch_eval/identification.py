@@ -25,7 +25,7 @@ from jaxik.identification import IdentifyOptions, excite, identify
 from jaxik.kinematics import Motion, Robot
 
 COUNT, PERIOD, SECONDS, RATE, NOISE = 3, 20.0, 40.0, 100.0, 0.01
-ASKED = {"period": PERIOD, "margin": None}  # the files are read without their meshes
+ASKED = {"period": PERIOD, "collision": False}  # the files are read without their meshes
 SIMPLE = ("coulomb", "viscous")
 FILES = {
     "crops_v2": ("crops_v2", None, (*SIMPLE, "breakaway", "load", "viscous_load", "asymmetry"), 2.0),

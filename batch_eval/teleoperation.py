@@ -21,32 +21,30 @@ from race import machine
 
 import jaxik
 from jaxik.dynamics import PointForce
+from jaxik.spmd import ControlLoop
 from jaxik.teleoperation import (
     DelayLine,
-    Direct,
     Hand,
-    HandImpedance,
     PassivityController,
     PositionControl,
     Teleoperation,
-    TeleoperationLoop,
     WaveVariables,
     simulate_teleoperation,
 )
 from jaxik.touch import SpringContact
 
 DT, WORKSPACE, DRAG = 1e-3, 15.0, 10.0
-FORCE, GRIP = 0.1, HandImpedance(0.5, 600.0, 20.0)  # of the hand by that of the arm; and a hand of our own
+FORCE, GRIP = 0.1, (0.5, 600.0, 20.0)  # of the hand by that of the arm; and a hand of our own
 FAST = 200.0  # [rad/s2, m/s2]: the delay is to be judged, not the arm
 DELAYS = 0.005 * np.arange(21)  # [s], each way
 JITTER = 0.2  # of the delay
 WALL, STIFFNESS = 0.03, 1000.0  # [m] before the start, [N/m]
 POSTURE = np.array([0.5, 0.0, 0.6, 1.4, -0.5, 0.1, 0.4, 0.6, 0.1])
 METHODS = {
-    "none": Direct(),
-    f"none, a drag of {DRAG:g} Ns/m": Direct(DRAG),
-    "wave variables": WaveVariables(DRAG),
-    "passivity controller": PassivityController(),
+    "none": {},
+    f"none, a drag of {DRAG:g} Ns/m": {"drag": DRAG},
+    "wave variables": {"channel": WaveVariables(impedance=DRAG)},
+    "passivity controller": {"channel": PassivityController()},
 }
 
 
@@ -60,8 +58,8 @@ def cost(q: Any) -> Any:
 
 
 def teleoperation(**options: Any) -> Teleoperation:
-    mapping = PositionControl(WORKSPACE, fastest=2.0)
-    return Teleoperation(arm(), **{"mapping": mapping, "cost": cost, "dt": DT, **options})
+    mapping = PositionControl(workspace=WORKSPACE, fastest=2.0)
+    return Teleoperation(arm(), **{"mapping": mapping, "cost": cost, "dt": DT, "margin": 0.01, **options})
 
 
 def tip(q: Any) -> Any:
@@ -78,13 +76,13 @@ def energies() -> list[dict[str, Any]]:
     """The least passivity sum by method, wall and delay."""
     wall = SpringContact(np.asarray(tip(POSTURE)) - [WALL, 0.0, 0.0], np.array([1.0, 0.0, 0.0]), STIFFNESS)
     rows = []
-    for name, channel in METHODS.items():
+    for name, method in METHODS.items():
 
-        def run(delay: Any, jitter: Any, springs: Any, channel: Any = channel) -> Any:
+        def run(delay: Any, jitter: Any, springs: Any, method: Any = method) -> Any:
             lines = [DelayLine(delay, jitter, longest=0.121, seed=seed) for seed in (0, 1)]
-            steers = teleoperation(channel=channel, there=lines[0], back=lines[1], force_ratio=FORCE, acceleration=FAST)
+            steers = teleoperation(**method, there=lines[0], back=lines[1], force_ratio=FORCE, acceleration=FAST)
             met = lambda q, rate: PointForce(9, tip(q), springs * wall.force(tip(q)))
-            done = simulate_teleoperation(steers, POSTURE, Hand(jnp.asarray(strokes(3.0))), met, GRIP)
+            done = simulate_teleoperation(steers, POSTURE, Hand(jnp.asarray(strokes(3.0))), world=met, grip=GRIP)
             return done.command.energy, jnp.linalg.norm(done.command.felt, axis=1), jnp.linalg.norm(done.command.force, axis=1)
 
         program = jax.jit(jax.vmap(run, (0, 0, None)))
@@ -124,13 +122,13 @@ def following() -> list[dict[str, Any]]:
     wish, hand = recorded_hand()
     rows = []
     for name, channel, delay, smoothing in (
-        ("none", Direct(), 0.0, 0.0),
-        ("none, smoothed over 0.1 s", Direct(), 0.0, 0.1),
-        ("wave variables, 50 ms", WaveVariables(DRAG), 0.05, 0.0),
+        ("none", None, 0.0, 0.0),
+        ("none, smoothed over 0.1 s", None, 0.0, 0.1),
+        ("wave variables, 50 ms", WaveVariables(impedance=DRAG), 0.05, 0.0),
         ("passivity controller, 50 ms", PassivityController(), 0.05, 0.0),
     ):
         lines = {"there": DelayLine(delay), "back": DelayLine(delay, seed=1)}
-        mapping = PositionControl(WORKSPACE, smoothing=smoothing, fastest=2.0)
+        mapping = PositionControl(workspace=WORKSPACE, smoothing=smoothing, fastest=2.0)
         steers = teleoperation(mapping=mapping, channel=channel, acceleration=100.0, **lines)
         done = jax.jit(functools.partial(simulate_teleoperation, steers, POSTURE))(Hand(jnp.asarray(hand)))
         moved, late = np.asarray(done.tip - done.tip[0]), 1 + round(delay / DT)
@@ -176,7 +174,7 @@ def silence() -> dict[str, Any]:
 
 def step_time(count: int = 20_000) -> dict[str, float]:
     """The time of a step of the loop on one core [us]: nine joints, a contact, clearance, a cost, waves."""
-    loop = TeleoperationLoop(teleoperation(channel=WaveVariables(DRAG)), contacts=1)
+    loop = ControlLoop(teleoperation(channel=WaveVariables(impedance=DRAG), contacts=1))
     state, q, hand = loop.start(POSTURE), POSTURE, strokes(1.0)
     contact = PointForce(np.array([4]), np.array([[0.2, 0.1, 0.9]]), np.array([[0.0, 1.0, 0.0]]))
     taken = np.empty(count)

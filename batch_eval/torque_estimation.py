@@ -25,22 +25,20 @@ from torque_pictures import draw
 
 from jaxik.estimation import (
     Detector,
-    EstimationLoop,
     Judged,
     MomentumObserver,
+    Played,
     Push,
-    Sample,
-    SimulatedLog,
     TorqueEstimator,
     TorqueFilter,
-    detect,
     estimate,
     fit_detector,
     judge_alarms,
-    over_log,
     play,
 )
+from jaxik.kinematics import Motion
 from jaxik.planning import Trajectory, time_path
+from jaxik.spmd import ControlLoop
 
 SHOWN = range(1, 8)  # joints 2 to 8, as in the thesis: hardly any load comes to joint 9, and the slide stands still
 STRETCHED = np.array([0.5, 0.0, 0.0, 0.0, 0.3, 0.1, 0.4, 0.2, 0.1])
@@ -56,9 +54,9 @@ def known(process: float = PROCESS, current: float = 0.05**2, torsion: float = n
     return TorqueFilter.of_drives(model(), process, current, torsion)
 
 
-def rmse(errors: np.ndarray, log: SimulatedLog) -> list[float]:
+def rmse(errors: np.ndarray, log: Played) -> list[float]:
     """Root mean squares [Nm] of joints 2 to 8, each where it moves; NaN where one does not."""
-    moves = np.abs(log.qdot_des) > CREEP
+    moves = np.abs(log.asked.velocity) > CREEP
     return [float(np.sqrt(np.mean(errors[moves[:, i], i] ** 2))) if moves[:, i].any() else np.nan for i in SHOWN]
 
 
@@ -78,7 +76,7 @@ def sweep() -> dict[str, Any]:
     def squares(sensed: Any, external: Any, moves: Any) -> Any:
         def one(pair: Any) -> Any:
             filter = dataclasses.replace(basis, current_noise=pair[0] * np.ones(n), torsion_noise=pair[1] * np.ones(n))
-            off = over_log(TorqueEstimator(model(), filter), sensed) - external
+            off = TorqueEstimator(model(), filter).over(sensed) - external
             return (moves * off**2).sum(axis=0)
 
         return jax.vmap(one)(pairs)
@@ -86,10 +84,10 @@ def sweep() -> dict[str, Any]:
     total, count, seconds = np.zeros((len(pairs), n)), np.zeros(n), 0.0
     sense = jax.jit(jax.vmap(TorqueEstimator(model(), basis, width=WIDTH).sense))
     for log in (log for arm in TUNED for log in logs(arm, True)):
-        moves = np.abs(log.qdot_des) > CREEP
-        sensed = sense(log.samples())
+        moves = np.abs(log.asked.velocity) > CREEP
+        sensed = sense(log.asked)
         begin = time.perf_counter()
-        total, count = total + np.asarray(squares(sensed, log.external, moves)), count + moves.sum(axis=0)
+        total, count = total + np.asarray(squares(sensed, log.asked.external, moves)), count + moves.sum(axis=0)
         seconds += time.perf_counter() - begin
     found = np.sqrt(total / np.maximum(count, 1)).reshape(len(current), len(torsion), n)
     best = [np.unravel_index(np.argmin(found[..., i]), found.shape[:2]) for i in range(n)]
@@ -120,9 +118,9 @@ def estimators(swept: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def shown(estimator: Any, log: SimulatedLog) -> Sample:
+def shown(estimator: Any, log: Played) -> Motion:
     """The momentum is that of the measured motion."""
-    return log.samples(desired=not isinstance(estimator, MomentumObserver))
+    return log.measured if isinstance(estimator, MomentumObserver) else log.asked
 
 
 def errors(named: dict[str, Any]) -> dict[str, Any]:
@@ -134,11 +132,11 @@ def errors(named: dict[str, Any]) -> dict[str, Any]:
     for name, (estimator, pushed) in rows.items():
         of_arms = []
         for arm in JUDGED:
-            each = [rmse(estimate(estimator, shown(estimator, log)) - log.external, log) for log in logs(arm, pushed)]
+            each = [rmse(estimate(estimator, shown(estimator, log)) - log.asked.external, log) for log in logs(arm, pushed)]
             of_arms.append(in_pairs(each))
         found[name] = np.nanmean(of_arms, axis=0).tolist()
         print(f"{name:45s}", np.round(np.nanmean(of_arms, axis=(0, 1)), 2))
-    found["gauge, the torque itself"] = in_pairs([rmse(log.external, log) for log in logs(JUDGED[0], True)])
+    found["gauge, the torque itself"] = in_pairs([rmse(log.asked.external, log) for log in logs(JUDGED[0], True)])
     return found
 
 
@@ -148,10 +146,10 @@ def swing(speed: float) -> list[Trajectory]:
     return [time_path([STRETCHED - away, STRETCHED, STRETCHED + away], profile="quintic", velocity=speed)]
 
 
-def swung(arm: int, speed: float, seed: int, pushes: Sequence[Push] = ()) -> SimulatedLog:
+def swung(arm: int, speed: float, seed: int, pushes: Sequence[Push] = ()) -> Played:
     """The log of an arm that swings."""
-    how = {"model": model(), "instruments": SENSORS, "rest": (0.2, 0.2), "seed": seed}
-    return play(arms()[arm], swing(speed), pushes, **how)
+    how = {"model": model(), "options": SENSORS, "rest": (0.2, 0.2), "seed": seed}
+    return play(arms()[arm], swing(speed), pushes=pushes, **how)
 
 
 def memory(estimator: TorqueEstimator) -> int:
@@ -162,15 +160,15 @@ def memory(estimator: TorqueEstimator) -> int:
 def fitted(estimator: TorqueEstimator, arm: int) -> Detector:
     """Thresholds of an arm, from three swings without contact."""
     free = [swung(arm, speed, seed) for seed, speed in enumerate((0.15, 0.3, 0.6))]
-    off = np.concatenate([estimate(estimator, log.samples()) for log in free])
-    rates, rest = np.concatenate([log.qdot_des for log in free]), np.full(9, CREEP)
+    off = np.concatenate([estimate(estimator, log.asked) for log in free])
+    rates, rest = np.concatenate([log.asked.velocity for log in free]), np.full(9, CREEP)
     rest[0] = 0.0  # the slide stands still throughout
-    return fit_detector(off, rates, 1.2 * friction_band(STRETCHED), rest, memory(estimator))
+    return fit_detector(off, rates, band=1.2 * friction_band(STRETCHED), rest=rest, memory=memory(estimator))
 
 
-def alarms(detector: Detector, estimator: TorqueEstimator, log: SimulatedLog) -> np.ndarray:
+def alarms(detector: Detector, estimator: TorqueEstimator, log: Played) -> np.ndarray:
     """The alarms of each sample and joint (t, n)."""
-    return detect(detector, estimate(estimator, log.samples()), log.qdot_des)
+    return detector.detect(estimate(estimator, log.asked), log.asked.velocity)
 
 
 def false_alarms(detector: Detector, estimator: TorqueEstimator, arm: int) -> list[list[Judged]]:
@@ -183,7 +181,7 @@ def delays(detector: Detector, estimator: TorqueEstimator, arm: int, joint: int,
     """How late [s] a push of half a second on link 4 is found at the joint; NaN where it is not."""
     vector, onset = np.array([force, 0.0, 0.0] if joint == 2 else [0.0, 0.0, -force]), 0.2 + 0.5 * float(swing(0.3)[0].duration)
     log = swung(arm, 0.3, 7, [Push("body4", [0.16, 0.0, -0.03], vector, onset, onset + 0.5)])
-    contact = (log.t >= onset) & (log.t < onset + 0.5)
+    contact = (log.asked.time >= onset) & (log.asked.time < onset + 0.5)
     return judge_alarms(alarms(detector, estimator, log)[:, joint - 1], contact, DT).delay.tolist()
 
 
@@ -218,12 +216,12 @@ def step_times(named: dict[str, Any]) -> dict[str, Any]:
     """How long a step of the control loop takes [us], samples in, external torques out."""
     log, found = logs(JUDGED[0], True)[0], {}
     for name in (BEST, "momentum observer"):
-        samples = [Sample(*(x[k] for x in log.samples())) for k in range(4000)]
-        loop = EstimationLoop(named[name])
+        samples = list(log.asked[:4000])
+        loop = ControlLoop(named[name])
         state, times = loop.start(samples[0]), []
         for sample in samples:
             begin = time.perf_counter()
-            state = loop.step(state, sample)
+            state, _ = loop.step(state, sample)
             times.append(1e6 * (time.perf_counter() - begin))
         found[name] = {"p50_us": float(np.median(times)), "p99_us": float(np.percentile(times, 99))}
     return found

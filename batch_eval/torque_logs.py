@@ -8,13 +8,13 @@ import functools
 import numpy as np
 
 import jaxik
-from jaxik.estimation import Instruments, Push, SimulatedLog, play
+from jaxik.estimation import Played, PlayOptions, Push, play
 from jaxik.planning import Trajectory, time_path
 
 DT = 1e-3
 TUNED, JUDGED = range(6), range(6, 12)  # the arms on whose logs covariances are chosen, and those that figures are of
 OFF = {"mass": 0.03, "com_m": 0.003, "friction": 0.1, "torque_constant": 0.02, "stiffness": 0.08}  # standard deviations
-SENSORS = Instruments(
+SENSORS = PlayOptions(
     current_noise=0.05,  # [A]
     current_step=0.01,
     torsion_noise=2e-5,  # [rad]
@@ -79,15 +79,15 @@ def gauge(direction: tuple[float, float, float], stiffness: float) -> Push:
 
 
 @functools.cache
-def logs(arm: int, pushed: bool) -> list[SimulatedLog]:
+def logs(arm: int, pushed: bool) -> list[Played]:
     """The logs of the four measurements, along a horizontal line and along a vertical one; with the gauge, or free."""
     found = []
     for seed, (speed, stiffness) in enumerate(MEASUREMENTS):
         for direction in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)):
             pushes = [gauge(direction, stiffness)] if pushed else []
             motions = there_and_back(direction, speed)
-            how = {"model": model(), "instruments": SENSORS, "rest": (0.4, 0.4), "seed": 10 * arm + seed}
-            found.append(play(arms()[arm], motions, pushes, **how))
+            how = {"model": model(), "options": SENSORS, "rest": (0.4, 0.4), "seed": 10 * arm + seed}
+            found.append(play(arms()[arm], motions, pushes=pushes, **how))
     return found
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from torque_logs import CREEP, ELBOW, JUDGED, MEASUREMENTS, WIDTH, friction_band, logs, model
 
 from jaxik.dynamics import inverse_dynamics, motor_current
-from jaxik.estimation import SimulatedLog, TorqueEstimator, estimate
+from jaxik.estimation import Played, TorqueEstimator, estimate
 
 JOINTS = np.arange(2, 9)
 
@@ -37,11 +37,12 @@ def draw(file: Path, result: dict[str, Any], name: str, estimator: TorqueEstimat
 def _currents(ax: Any) -> None:
     """Joint 6's motor current beside what the model foretells, as torques."""
     log, joint = logs(JUDGED[0], False)[0], 5
+    asked = log.asked
     drive = model().drives[joint]
     inside = jax.jit(jax.vmap(lambda *x: motor_current(model(), inverse_dynamics(model(), *x), x[1], width=WIDTH)))
-    gain, foretold = float(drive.torque_per_current), inside(log.q_des, log.qdot_des, log.qddot_des)
-    ax.plot(log.t, gain * log.current[:, joint], "0.3", linewidth=0.6, label="motor current")
-    ax.plot(log.t, gain * np.asarray(foretold)[:, joint], label="model")
+    gain, foretold = float(drive.torque_per_current), inside(*asked.state)
+    ax.plot(asked.time, gain * asked.current[:, joint], "0.3", linewidth=0.6, label="motor current")
+    ax.plot(asked.time, gain * np.asarray(foretold)[:, joint], label="model")
     _shade(ax, log, joint, 0.0)
     ax.set(title="fig. 3.11 in kind: joint 6, nothing touches", ylabel="torque [Nm]", xlabel="time [s]", ylim=(-8, 9))
     ax.legend(fontsize=8, ncol=2)
@@ -84,19 +85,19 @@ def _levers(ax: Any, rows: list[dict[str, Any]]) -> None:
 def _external(ax: Any, estimator: TorqueEstimator, joint: int, measurement: int) -> None:
     """The torque that the gauge exerts, the estimate of it, and how fast the joint was to move."""
     log, way = logs(JUDGED[0], True)[measurement], "vertical" if measurement % 2 else "horizontal"
-    ax.plot(log.t, log.external[:, joint - 1], "k", label="gauge")
-    ax.plot(log.t, estimate(estimator, log.samples())[:, joint - 1], color="tab:blue", label="estimate")
-    _shade(ax, log, joint - 1, log.external[:, joint - 1])
+    ax.plot(log.asked.time, log.asked.external[:, joint - 1], "k", label="gauge")
+    ax.plot(log.asked.time, estimate(estimator, log.asked)[:, joint - 1], color="tab:blue", label="estimate")
+    _shade(ax, log, joint - 1, log.asked.external[:, joint - 1])
     ax.set(title=f"fig. 3.18 in kind: joint {joint}, {way}", ylabel="external torque [Nm]", xlabel="time [s]")
     rate = ax.twinx()
-    rate.plot(log.t, log.qdot_des[:, joint - 1], color="tab:green", linewidth=0.8)
+    rate.plot(log.asked.time, log.asked.velocity[:, joint - 1], color="tab:green", linewidth=0.8)
     rate.set_ylabel("rate asked for [rad/s]", color="tab:green")
     ax.margins(y=0.15)
     ax.legend(fontsize=8, loc="upper center" if joint != 3 else "lower right")
 
 
-def _shade(ax: Any, log: SimulatedLog, joint: int, around: Any) -> None:
+def _shade(ax: Any, log: Played, joint: int, around: Any) -> None:
     """Grey where the joint, from 0, is near zero velocity; darker, `around` a torque [Nm], the friction's band there."""
-    slow, band = np.abs(log.qdot_des[:, joint]) < CREEP, friction_band(np.array(ELBOW))[joint]
-    ax.fill_between(log.t, 0, 1, where=slow, color="0.92", transform=ax.get_xaxis_transform(), linewidth=0)
-    ax.fill_between(log.t, around - band, around + band, where=slow, color="0.75", linewidth=0)
+    slow, band = np.abs(log.asked.velocity[:, joint]) < CREEP, friction_band(np.array(ELBOW))[joint]
+    ax.fill_between(log.asked.time, 0, 1, where=slow, color="0.92", transform=ax.get_xaxis_transform(), linewidth=0)
+    ax.fill_between(log.asked.time, around - band, around + band, where=slow, color="0.75", linewidth=0)

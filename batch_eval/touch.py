@@ -26,13 +26,12 @@ from race import machine
 
 import jaxik
 from jaxik.dynamics import PointForce, material_point
-from jaxik.estimation import Butterworth
 from jaxik.motions import Line
+from jaxik.spmd import ControlLoop
 from jaxik.touch import (
     Encounter,
-    Reacted,
     Reaction,
-    ReactionLoop,
+    ReactionResult,
     SpringContact,
     StiffnessEstimator,
     TouchSensor,
@@ -67,7 +66,7 @@ def reaction(scheme: str, **changes: Any) -> Reaction:
     alpha = 20.0 if scheme == "rac" else 5.0
     cost = lambda q: jaxik.costs.joint_limit_cost(model(), q, soft=soft)
     how = {"stiffness": StiffnessEstimator(start=STIFFNESS)} | changes
-    return Reaction(model(), scheme, weights=WEIGHTS, cost=cost, alpha=alpha, **how)
+    return Reaction(model(), scheme=scheme, weights=WEIGHTS, cost=cost, alpha=alpha, **how)
 
 
 @functools.cache
@@ -83,10 +82,12 @@ def path(scene: str) -> Line:
 
 
 @functools.cache
-def followed(scene: str, scheme: str) -> Reacted:
+def followed(scene: str, scheme: str) -> ReactionResult:
     _, duration, seconds = SCENES[scene]
     met = Encounter(wall(), LINK, MIDDLE)
-    run = lambda q: simulate_reaction(reaction(scheme), path(scene), duration, q, met, round(seconds / DT), TouchSensor())
+    run = lambda q: simulate_reaction(
+        reaction(scheme), path(scene), duration, q, met, steps=round(seconds / DT), sensor=TouchSensor()
+    )
     return jax.tree_util.tree_map(np.asarray, jax.jit(run)(begin()))
 
 
@@ -95,7 +96,9 @@ def wall() -> SpringContact:
     """Across the way of the link's middle, in the horizontal plane, where the baseline ends `REACHED` deep."""
     nothing = Encounter(SpringContact([100.0, 0.0, 0.0], [-1.0, 0.0, 0.0], 0.0), LINK, MIDDLE)
     duration = SCENES["avoidable"][1]
-    free = jax.jit(lambda q: simulate_reaction(reaction("baseline"), path("avoidable"), duration, q, nothing, 6000).q)
+    free = jax.jit(
+        lambda q: simulate_reaction(reaction("baseline"), path("avoidable"), duration, q, nothing, steps=6000).motion.q
+    )
     q = free(begin())
     first, last = (np.asarray(material_point(model(), q[k], LINK, MIDDLE)) for k in (0, -1))
     against = (first - last) * [1.0, 1.0, 0.0]
@@ -119,7 +122,7 @@ def experiments() -> list[dict[str, Any]]:
                 "first_peak_n": float(found.force[peak]),
                 "dip_after_n": float(found.force[peak : peak + round(1.5 / DT)].min()),
                 "below_2_n_after_s": _settled(found.force[hit:] < 2.0),
-                "peak_rate": float(np.linalg.norm(found.rate[hit:], axis=1).max()),
+                "peak_rate": float(np.linalg.norm(found.motion.velocity[hit:], axis=1).max()),
                 "task_error_mm": float(1e3 * np.linalg.norm(found.error, axis=1).max()),
                 "stiffness_n_m": float(found.stiffness[-1]),
             }
@@ -150,10 +153,10 @@ def analytic() -> dict[str, float]:
         ("twice as stiff, estimated", estimated, 120.0),
         ("half as stiff, estimated", estimated, 30.0),
     ):
-        bare = Reaction(model(), "feedback", weights=WEIGHTS, threshold=0.0, filter=None, **how)
+        bare = Reaction(model(), scheme="feedback", weights=WEIGHTS, threshold=0.0, cutoff=None, **how)
         stiff = SpringContact(point + 6.0 / true * np.asarray(wall().normal), wall().normal, true)
-        given = bare, path("avoidable"), SCENES["avoidable"][1], begin(), Encounter(stiff, LINK, MIDDLE), steps
-        force = np.asarray(simulate_reaction(*given).force)
+        given = bare, path("avoidable"), SCENES["avoidable"][1], begin(), Encounter(stiff, LINK, MIDDLE)
+        force = np.asarray(simulate_reaction(*given, steps=steps).force)
         found[name] = float(np.abs(force / force[0] - exact)[: round(0.6 / DT)].max())
     print(found)
     return found
@@ -206,10 +209,10 @@ def many(how: Reaction, draws: Draws) -> dict[str, np.ndarray]:
     @jax.vmap
     def run(each: Draws) -> dict[str, Any]:
         met = Encounter(each.wall, each.joint, each.local)
-        found = simulate_reaction(how, Line(each.first, each.last), 2.0, each.q, met, STEPS, TouchSensor())
+        found = simulate_reaction(how, Line(each.first, each.last), 2.0, each.q, met, steps=STEPS, sensor=TouchSensor())
         error = jnp.linalg.norm(found.error, axis=1)
         summed = {"peak": jnp.max(found.force), "end": found.force[-1], "above": DT * jnp.sum(found.force > 5.0)}
-        return summed | {"error": jnp.max(error), "rate": jnp.max(jnp.abs(found.rate)), "q": found.q[-1]}
+        return summed | {"error": jnp.max(error), "rate": jnp.max(jnp.abs(found.motion.velocity)), "q": found.motion.q[-1]}
 
     parts = [run(jax.tree_util.tree_map(lambda x: x[k : k + LANES], draws)) for k in range(0, len(draws.q), LANES)]  # noqa: B023
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -220,7 +223,7 @@ def random_contacts() -> dict[str, Any]:
     draws, unopposed = anywhere()
     pushed, rows = unopposed > 5.0, []
     hows = {scheme: reaction(scheme) for scheme in ("baseline", "rmrc", "rac", "feedback", "multi")}
-    hows["multi, low pass at 50 Hz"] = reaction("multi", filter=Butterworth(8, 50.0, DT))
+    hows["multi, low pass at 50 Hz"] = reaction("multi", cutoff=50.0)
     for name, how in hows.items():
         begun = time.perf_counter()
         found = many(how, draws)
@@ -246,7 +249,7 @@ def random_contacts() -> dict[str, Any]:
 
 def step_time(count: int = 20_000) -> dict[str, float]:
     """How long a sample of the control loop takes [us]: numbers in, command out."""
-    loop, q = ReactionLoop(reaction("multi", most=20.0)), begin()
+    loop, q = ControlLoop(reaction("multi", most=20.0)), begin()
     asked = path("avoidable").at(2.0, 6.0)
     asked = asked._replace(**{name: np.asarray(x) for name, x in asked._asdict().items()})
     felt = PointForce(np.array(LINK), np.asarray(material_point(model(), q, LINK, MIDDLE)), 6.0 * np.asarray(wall().normal))
@@ -267,7 +270,7 @@ def draw(file: Path) -> None:
             t, colour = DT * np.arange(len(found.force)), COLOURS.get(scheme)
             style = {"color": colour, "linestyle": "--" if scheme == "multi" else "-", "label": scheme}
             above.plot(t, found.force, **style)
-            below.plot(t, np.linalg.norm(found.rate, axis=1), **style)
+            below.plot(t, np.linalg.norm(found.motion.velocity, axis=1), **style)
         for level, name in ((1.3, "$F_{th}$"), (5.0, "$F_{min}$")):
             above.axhline(level, color="0.4", linestyle=":", linewidth=1)
             above.annotate(name, (0.0, level), color="0.4", fontsize=9, va="bottom")

@@ -299,19 +299,21 @@ def external_torque() -> None:
     middle, away = np.array([0.5, 0, 0, 0, 0.3, 0.1, 0.4, 0.2, 0.1]), np.array([0, 0.3, 0.2, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1])
     motion = jaxik.planning.time_path([middle - away, middle + away], profile="quintic", velocity=0.4, acceleration=2.0)
     push = estimation.Push("body4", [0.16, 0.0, -0.03], force=[20.0, 0.0, 0.0], start=1.0, end=1.5)
-    sensors = estimation.Instruments(current_noise=0.05, current_step=0.01)
-    log = estimation.play(arm, motion, [push], model=model, instruments=sensors, rest=(0.2, 0.2))
+    sensors = estimation.PlayOptions(current_noise=0.05, current_step=0.01, rest=(0.2, 0.2))
+    log = estimation.play(arm, motion, pushes=[push], model=model, options=sensors).asked
     estimator = estimation.TorqueEstimator(model, estimation.TorqueFilter.of_drives(model, 0.05, 0.05), width=0.005)
-    found = estimation.estimate(estimator, log.samples())[:, joint]
+    found = estimation.estimate(estimator, log)[:, joint]
     band = float(jaxik.dynamics.friction_band(model, jaxik.dynamics.gravity_torque(model, middle))[joint])
     figure, (above, below) = plt.subplots(2, 1, figsize=(8, 4.4), sharex=True, height_ratios=(3, 1))
-    slow = np.abs(log.qdot_des[:, joint]) < 0.02
-    above.fill_between(log.t, -band, band, where=slow, color=PALE, lw=0, label="friction's band, where the joint nearly rests")
-    above.plot(log.t, log.external[:, joint], color=GREY, lw=1.5, label="what the push does to the joint")
-    above.plot(log.t, found, color=BLUE, lw=1.5, label="the estimate, from the motor's current")
+    slow = np.abs(log.velocity[:, joint]) < 0.02
+    above.fill_between(
+        log.time, -band, band, where=slow, color=PALE, lw=0, label="friction's band, where the joint nearly rests"
+    )
+    above.plot(log.time, log.external[:, joint], color=GREY, lw=1.5, label="what the push does to the joint")
+    above.plot(log.time, found, color=BLUE, lw=1.5, label="the estimate, from the motor's current")
     above.set(ylabel=f"torque of {model.joint_names[joint]} [Nm]")
     above.legend(fontsize=8, frameon=False)
-    below.plot(log.t, log.qdot_des[:, joint], color=ORANGE, lw=1.5)
+    below.plot(log.time, log.velocity[:, joint], color=ORANGE, lw=1.5)
     below.set(xlabel="time [s]", ylabel="speed [rad/s]")
     _save(figure, "external_torque")
 

@@ -20,7 +20,7 @@ from jaxik.ik import IKOptions, implicit_ik, solve_ik
 from jaxik.kinematics import Robot, Task, forward_kinematics, jacobian
 from jaxik.reasons import LoadError, Reason
 from jaxik.spatial.rotations import pose
-from jaxik.spmd import kernel
+from jaxik.spmd import ControlLoop, kernel
 from jaxik.version import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from jaxik.sweeps import sweep
 
 __all__ = [
+    "ControlLoop",
     "FitOptions",
     "IKOptions",
     "LoadError",

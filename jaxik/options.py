@@ -38,10 +38,17 @@ class Field:
     kept: Callable[[str, str, Any], Any]
 
 
-def _declared(default: Any, unit: str, words: str, kept: Callable[[str, str, Any], Any], choices: tuple[Any, ...] = ()) -> Any:
+def _declared(
+    default: Any,
+    unit: str,
+    words: str,
+    kept: Callable[[str, str, Any], Any],
+    choices: tuple[Any, ...] = (),
+    kw_only: bool = True,
+) -> Any:
     metadata = {"option": Field(unit, words, choices, kept)}
     if callable(getattr(default, "__hash__", None)) or default is REQUIRED:
-        return dataclasses.field(default=default, metadata=metadata)
+        return dataclasses.field(default=default, metadata=metadata, kw_only=kw_only)
     return dataclasses.field(default_factory=lambda: type(default)(default), metadata=metadata)  # a dict, a list
 
 
@@ -113,14 +120,14 @@ def per_joint(*, default: Any = None, words: str, unit: str = "", lone: bool = T
     return _declared(default, unit, words, lambda who, name, value: positive(f"{who}: {name}{told}", value, lone))
 
 
-def instance(*, default: Any = REQUIRED, words: str, kind: type, optional: bool = False) -> Any:
-    """An object of a `kind`; or None, where that is `optional`."""
+def instance(*, default: Any = REQUIRED, words: str, kind: type, optional: bool = False, kw_only: bool = True) -> Any:
+    """An object of a `kind`; or None, where that is `optional`. Unless `kw_only` it may be given by its place."""
 
     def kept(who: str, name: str, value: Any) -> Any:
         check_kind(who, name, value, kind, optional)
         return value
 
-    return _declared(default, "", words, kept)
+    return _declared(default, "", words, kept, kw_only=kw_only)
 
 
 def anything(*, default: Any = REQUIRED, words: str, unit: str = "") -> Any:

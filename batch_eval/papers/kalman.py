@@ -19,7 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik import Robot
-from jaxik.estimation import Sample, TorqueEstimator, TorqueFilter
+from jaxik.estimation import Estimator, TorqueEstimator, TorqueFilter
+from jaxik.kinematics import Motion
 
 
 class KalmanState(NamedTuple):
@@ -90,7 +91,7 @@ class RecursiveState(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class RecursiveEstimator:
+class RecursiveEstimator(Estimator):
     """A `TorqueEstimator` by the full recursion, which begins at T_int with the variance `start` [Nm2]. For `estimate` and
     `EstimationLoop`."""
 
@@ -98,10 +99,14 @@ class RecursiveEstimator:
     start: float = 1.0
 
     @property
-    def robot(self) -> Robot:
+    def robot(self) -> Robot:  # type: ignore[override]
         return self.steady.robot
 
-    def sense(self, sample: Sample) -> Any:
+    @property
+    def reads(self) -> tuple[str, ...]:  # type: ignore[override]
+        return self.steady.reads
+
+    def sense(self, sample: Motion) -> Any:
         return self.steady.sense(sample)
 
     def init(self, sensed: Any) -> RecursiveState:

@@ -1,30 +1,23 @@
 """External torque from motor currents and torsions, alarms, and a simulated plant to try them on."""
 
-from jaxik.estimation.detection import Detector, Judged, detect, fit_detector, judge_alarms
-from jaxik.estimation.lowpass import Butterworth
+from jaxik.estimation.detection import Detector, Judged, fit_detector, judge_alarms
+from jaxik.estimation.estimator import Estimator, estimate
 from jaxik.estimation.momentum_observer import MomentumObserver
-from jaxik.estimation.plant import Gains, Instruments, Push, SimulatedLog, mujoco_model, play
-from jaxik.estimation.sampled import EstimationLoop, Sample, estimate, over_log
+from jaxik.estimation.plant import Played, PlayOptions, Push, play
 from jaxik.estimation.torque_estimation import TorqueEstimator, TorqueFilter
 
 __all__ = [
-    "Butterworth",
     "Detector",
-    "EstimationLoop",
-    "Gains",
-    "Instruments",
+    "Estimator",
     "Judged",
     "MomentumObserver",
+    "PlayOptions",
+    "Played",
     "Push",
-    "Sample",
-    "SimulatedLog",
     "TorqueEstimator",
     "TorqueFilter",
-    "detect",
     "estimate",
     "fit_detector",
     "judge_alarms",
-    "mujoco_model",
-    "over_log",
     "play",
 ]

@@ -1,4 +1,4 @@
-"""Contacts from estimates of external torque: an alarm where one exceeds what the estimator's errors alone come to.
+"""Contacts from estimates of external torque: an alarm where an estimate exceeds the estimator's own errors.
 
 The errors are measured, on logs without contact. Where a joint nearly stands still its static friction may carry anything up to
 the friction band unseen [Schuetz 2017, sec. 3.2.4], and so it may for as long after as the filter remembers: there the band is
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxik.checks.arrays import Array, numbers
-from jaxik.checks.options import as_count, check_finite, check_kind, shown
+from jaxik.checks.options import as_count, check_finite, shown
 from jaxik.pytree import Pytree
 
 
@@ -27,39 +27,40 @@ class Detector(Pytree):
     rest: Float[Array, " n"]
     memory: int
 
+    def detect(self, external: Any, velocity: Any) -> Bool[np.ndarray, "*log n"]:
+        """Returns the alarms (..., t, n) of estimates (..., t, n) [Nm, N] at rates (..., t, n), the arm at rest before. Host
+        driver.
+
+        Raises `ValueError` for shapes that do not fit, and for estimates and rates that are not finite.
+        """
+        external, velocity = _pair("detect", external, velocity)
+        if (n := len(self.threshold)) != external.shape[-1]:
+            raise ValueError(f"detect: external of {external.shape[-1]} joints, and a detector of {n}")
+        blind = _blind(self.rest, self.memory, velocity)
+        return np.abs(external) > self.threshold + self.band * blind
+
     def init(self) -> Float[Array, " n"]:
-        """Samples since each joint was at rest (n,), where all are."""
+        """Returns the samples since each joint was at rest (n,), where all are."""
         return np.zeros(np.shape(self.threshold))
 
-    def step(self, since: Any, external: Any, qdot: Any) -> tuple[Any, Any]:
-        """The next `since`, and the alarms (n,), of an estimate and the joints' rates. Traced. Takes NumPy's arrays, too."""
-        since = (since + 1.0) * (abs(qdot) >= self.rest)
+    def step(self, since: Any, external: Any, velocity: Any) -> tuple[Any, Any]:
+        """Returns the next `since`, and the alarms (n,), of an estimate and the joints' rates. Traced. Takes NumPy's arrays,
+        too."""
+        since = (since + 1.0) * (abs(velocity) >= self.rest)
         return since, abs(external) > self.threshold + self.band * (since <= self.memory)
 
 
-def detect(detector: Detector, external: Any, qdot: Any) -> Bool[np.ndarray, "*log n"]:
-    """The alarms (..., t, n) of estimates (..., t, n) [Nm] at rates (..., t, n), the arm at rest before. Host driver.
-
-    Raises `ValueError` for shapes that do not fit, and for estimates and rates that are not finite.
-    """
-    check_kind("detect", "detector", detector, Detector)
-    external, qdot = _pair("detect", external, qdot)
-    if (n := len(detector.threshold)) != external.shape[-1]:
-        raise ValueError(f"detect: external of {external.shape[-1]} joints, and a detector of {n}")
-    blind = _blind(detector.rest, detector.memory, qdot)
-    return np.abs(external) > detector.threshold + detector.band * blind
-
-
-def _blind(rest: Any, memory: int, qdot: np.ndarray) -> np.ndarray:
+def _blind(rest: Any, memory: int, velocity: np.ndarray) -> np.ndarray:
     """Where the joints are at rest, or were so at most `memory` samples before."""
-    time = np.arange(qdot.shape[-2])[:, None]
-    last = np.maximum.accumulate(np.where(np.abs(qdot) < rest, time, -1), axis=-2)
+    time = np.arange(velocity.shape[-2])[:, None]
+    last = np.maximum.accumulate(np.where(np.abs(velocity) < rest, time, -1), axis=-2)
     return time - last <= memory
 
 
 def fit_detector(
     external: Any,
-    qdot: Any,
+    velocity: Any,
+    *,
     band: Any = 0.0,
     rest: Any = 0.0,
     memory: int = 0,
@@ -67,21 +68,21 @@ def fit_detector(
     factor: float = 1.2,
     joint_names: Sequence[str] = (),
 ) -> Detector:
-    """Thresholds from estimates (..., t, n) [Nm] of logs without contact, at rates (..., t, n). Host.
+    """Fits thresholds to estimates (..., t, n) [Nm, N] of logs without contact, at rates (..., t, n). Host.
 
-    The `quantile` of the errors of each joint where it moves, 1 the largest, times a `factor`. What a friction `band` is, and
-    below which speed a joint is at `rest`, one number or (n,), is the robot's; `memory` is in samples, some 3 / kappa of a
-    filter's gain. Raises `ValueError` for shapes that do not fit, numbers out of range, and a joint that never moves, by its
-    name where `joint_names` has the robot's.
+    A threshold is the `quantile` of a joint's errors where it moves, 1 the largest, times a `factor`. What a friction `band`
+    is, and below which speed a joint is at `rest`, one number or (n,), is the robot's; `memory` is in samples, some 3 / kappa
+    of a filter's gain. Raises `ValueError` for shapes that do not fit, numbers out of range, and a joint that never moves, by
+    its name where `joint_names` has the robot's.
     """
-    external, qdot = _pair("fit_detector", external, qdot)
+    external, velocity = _pair("fit_detector", external, velocity)
     check_finite("fit_detector", 0.0, quantile=quantile, factor=factor)
     memory = as_count("fit_detector: memory", memory, least=0)
     if quantile > 1.0:
         raise ValueError(f"fit_detector: quantile is {quantile:g}; it is at most 1, the largest error")
     n = external.shape[-1]
     band, rest = _of_joints("band", band, n), _of_joints("rest", rest, n)
-    moves = ~_blind(rest, memory, qdot)
+    moves = ~_blind(rest, memory, velocity)
     if not moves.reshape(-1, n).any(axis=0).all():
         still = int(np.argmin(moves.reshape(-1, n).any(axis=0)))
         called = joint_names[still] if len(joint_names) == n else f"joint {still}, counted from 0,"
@@ -134,11 +135,11 @@ def _edges(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.flatnonzero(steps > 0), np.flatnonzero(steps < 0)
 
 
-def _pair(who: str, external: Any, qdot: Any) -> tuple[np.ndarray, np.ndarray]:
-    external, qdot = numbers(f"{who}: external", external), numbers(f"{who}: qdot", qdot)
-    if external.shape != qdot.shape or external.ndim < 2:
-        raise ValueError(f"{who}: external of shape {external.shape}, qdot of {qdot.shape}; allowed: (..., t, n) both")
-    for name, x in (("external", external), ("qdot", qdot)):
+def _pair(who: str, external: Any, velocity: Any) -> tuple[np.ndarray, np.ndarray]:
+    external, velocity = numbers(f"{who}: external", external), numbers(f"{who}: velocity", velocity)
+    if external.shape != velocity.shape or external.ndim < 2:
+        raise ValueError(f"{who}: external of shape {external.shape}, velocity of {velocity.shape}; allowed: (..., t, n) both")
+    for name, x in (("external", external), ("velocity", velocity)):
         if not np.isfinite(x).all():
             raise ValueError(f"{who}: {name} holds {x[~np.isfinite(x)][0]}; write finite numbers")
-    return external, qdot
+    return external, velocity

@@ -2,7 +2,7 @@
 
     p = M(q) qdot,     pdot = tau + beta + T_ext,     beta = C(q, qdot)' qdot - g(q)
 
-C' qdot is the slope of the kinetic energy over q, for Mdot = C + C'. So of the Lagrangian L = kinetic - potential energy
+C' qdot is the slope of the kinetic energy over q, for Mdot = C + C'. With the Lagrangian L = kinetic - potential energy
 
     p = dL / dqdot,    beta = dL / dq
 
@@ -29,7 +29,8 @@ from jaxik.checks.arrays import Array, numbers
 from jaxik.checks.options import check_finite
 from jaxik.dynamics.actuation import torque_of_current
 from jaxik.dynamics.recursions import energy
-from jaxik.estimation.sampled import Sample
+from jaxik.estimation.estimator import Estimator
+from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot, need_drives
 
 
@@ -49,8 +50,8 @@ class ObserverState(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class MomentumObserver:
-    """The observer on a robot with drives, for `estimate` and `EstimationLoop`. It reads q, qdot and the currents of a sample.
+class MomentumObserver(Estimator):
+    """The observer on a robot with drives. It reads q, velocity and the currents of a sample.
 
     `gain` K [1/s], of all joints or (n,); `dt` [s] between samples; `width` is that of `friction_torque`. Raises `ValueError`
     unless 0 < K dt <= 1, and for a robot without drives.
@@ -60,6 +61,7 @@ class MomentumObserver:
     gain: float | Float[np.ndarray, " n"]
     dt: float
     width: float = 0.0
+    reads = "q", "velocity", "current"
 
     def __post_init__(self) -> None:
         need_drives("momentum observer", self.robot)
@@ -70,21 +72,21 @@ class MomentumObserver:
         if share.shape not in ((), (self.robot.num_joints,)) or not np.all((share > 0.0) & (share <= 1.0)):
             raise ValueError(f"momentum observer: gain {self.gain} at dt {self.dt:g} s; allowed: above 0, at most 1 / dt [1/s]")
 
-    def sense(self, sample: Sample) -> Momentum:
-        """Traced. Raises `ValueError` for a sample without currents."""
+    def sense(self, sample: Motion) -> Momentum:
+        """Returns the momentum and what drives it. Traced. Raises `ValueError` for a sample without currents."""
         current = sample.needed("momentum observer", "current")
         lagrangian = lambda q, qdot: jnp.subtract(*energy(self.robot, q, qdot))
-        beta, momentum = jax.grad(lagrangian, (0, 1))(sample.q, sample.qdot)
-        torque = torque_of_current(self.robot, jnp.asarray(current), jnp.asarray(sample.qdot), width=self.width)
+        beta, momentum = jax.grad(lagrangian, (0, 1))(sample.q, sample.velocity)
+        torque = torque_of_current(self.robot, jnp.asarray(current), jnp.asarray(sample.velocity), width=self.width)
         return Momentum(momentum, torque + beta)
 
     def init(self, sensed: Momentum) -> ObserverState:
-        """As if nothing touched the arm. Traced."""
+        """Returns the state as if nothing touched the arm. Traced."""
         # with this drive the first sample, which has none before it, tells nothing
         return ObserverState(sensed.momentum, -sensed.drive, jnp.zeros_like(sensed.momentum))
 
     def advance(self, state: ObserverState, sensed: Momentum, missed: Any = 0) -> ObserverState:
-        """The next state, over the time of the samples that were `missed`, too. Traced."""
+        """Returns the next state, over the time of the samples that were `missed`, too. Traced."""
         passed = (1.0 + missed) * self.dt
         found = (sensed.momentum - state.momentum) / passed - 0.5 * (sensed.drive + state.drive)
         return ObserverState(*sensed, state.external + jnp.minimum(self.gain * passed, 1.0) * (found - state.external))

@@ -10,29 +10,28 @@ a model of the arm says of the trajectory, and proportional and derivative feedb
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from jaxik.checks.arrays import numbers, shaped
 from jaxik.checks.optional_modules import optional
-from jaxik.checks.options import as_count, check_finite, check_kind, check_seed, no_such, shown
+from jaxik.checks.options import check_finite, check_kind, check_seed, no_such, shown
 from jaxik.dynamics.actuation import friction_torque, motor_current
 from jaxik.dynamics.recursions import GRAVITY, inverse_dynamics, mass_matrix
-from jaxik.estimation.sampled import Sample
 from jaxik.kinematics.drive import Drive
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
+from jaxik.options import Options, anything, count, number
 from jaxik.planning import Trajectory
 from jaxik.pytree import Pytree
 from jaxik.spatial.rotations import to_wxyz
 from jaxik.spmd import HostKernel
 
+TOLD = 1024  # samples between two calls of `progress`
 CREEP = 1e-5  # [rad/s, m/s]: slower is at rest, where friction is what the law tends to
 
 
@@ -47,68 +46,47 @@ class Push(NamedTuple):
     end: float = np.inf
 
 
-@dataclasses.dataclass(frozen=True)
-class Instruments:
-    """What the sensors do to what they measure: standard deviations of white noise and steps of quantisation, of current [A],
-    torsion [rad] and joint values [rad, m]; half the width of the gears' hysteresis, `torsion_play` [rad]; rates are
-    differences over `window` samples. Each is one number, or one a joint. Controllers of drives have their own sensors, perfect
-    ones."""
+class PlayOptions(Options, who="play"):
+    """How an arm is played. Noise is white, told by its standard deviation; noise, steps and play are one number, or one a
+    joint. Controllers of drives have their own sensors, perfect ones."""
 
-    current_noise: Any = 0.0
-    current_step: Any = 0.0
-    torsion_noise: Any = 0.0
-    torsion_step: Any = 0.0
-    torsion_play: Any = 0.0
-    position_step: Any = 0.0
-    window: int = 1
+    dt: float = number(default=1e-3, unit="s", least=1e-6, words="between samples")
+    rest: tuple[float, float] = anything(default=(0.0, 0.0), unit="s", words="standing still before and after each motion")
+    frequency: float = number(
+        default=60.0,
+        unit="rad/s",
+        least=1e-9,
+        words="of each joint's error under its controller, with the inertia that the model has where the motion begins",
+    )
+    damping: float = number(default=0.7, least=0.0, words="of that error")
+    current_noise: Any = anything(default=0.0, unit="A", words="of the currents that are shown")
+    current_step: Any = anything(default=0.0, unit="A", words="to which these are rounded")
+    torsion_noise: Any = anything(default=0.0, unit="rad", words="of the gears' torsions that are shown")
+    torsion_step: Any = anything(default=0.0, unit="rad", words="to which these are rounded")
+    torsion_play: Any = anything(default=0.0, unit="rad", words="half the width of the gears' hysteresis")
+    position_step: Any = anything(default=0.0, unit="rad, m", words="to which joint values are rounded")
+    window: int = count(default=1, words="samples over which rates are differences")
 
-    def __post_init__(self) -> None:
-        for name, given in vars(self).items():
-            if not np.all((values := numbers(f"instruments: {name}", given)) >= 0.0) or not np.isfinite(values).all():
-                raise ValueError(f"instruments: {name} is {shown(given)}; allowed: finite numbers of at least 0")
-        as_count("instruments: window", self.window)
-
-
-@dataclasses.dataclass(frozen=True)
-class Gains:
-    """The joints' controllers: the frequency [rad/s] and the damping [1] of each joint's error, with the inertia that the
-    model has where the motion begins."""
-
-    frequency: float = 60.0
-    damping: float = 0.7
-
-    def __post_init__(self) -> None:
-        check_finite("gains", 1e-9, frequency=self.frequency)
-        check_finite("gains", 0.0, damping=self.damping)
+    def check(self) -> None:
+        check_finite("play", 0.0, **{"rest before": self.rest[0], "rest after": self.rest[1]})
+        for name in ("current_noise", "current_step", "torsion_noise", "torsion_step", "torsion_play", "position_step"):
+            values = numbers(f"play: {name}", getattr(self, name))
+            if not np.all(values >= 0.0) or not np.isfinite(values).all():
+                raise ValueError(f"play: {name} is {shown(getattr(self, name))}; allowed: finite numbers of at least 0")
 
 
-class SimulatedLog(Pytree):
-    """What was asked for, what was measured, and what was true, in time: `t` (k,) [s], all else (k, n).
+class Played(Pytree):
+    """A log twice: with the motion that was `asked` for, its q, velocity and acceleration, as the thesis has it for
+    `TorqueEstimator`; and with the q and velocity that were `measured`. Both have time (k,) [s], and (k, n): the `current` [A]
+    and the `torsion` [rad] that were measured, and the truth, `external`, what pushes do to the joints, J'f, and `torque`, what
+    the drives do behind their friction [Nm, N]."""
 
-    Asked for: `q_des`, `qdot_des`, `qddot_des`. Measured: `q`, `qdot`, `current` [A], `torsion` [rad]. True: `external`, what
-    pushes do to the joints, J'f, and `torque`, what the drives do behind their friction [Nm, N].
-    """
-
-    t: Float[np.ndarray, " k"]
-    q_des: Float[np.ndarray, "k n"]
-    qdot_des: Float[np.ndarray, "k n"]
-    qddot_des: Float[np.ndarray, "k n"]
-    q: Float[np.ndarray, "k n"]
-    qdot: Float[np.ndarray, "k n"]
-    current: Float[np.ndarray, "k n"]
-    torsion: Float[np.ndarray, "k n"]
-    external: Float[np.ndarray, "k n"]
-    torque: Float[np.ndarray, "k n"]
-
-    def samples(self, desired: bool = True) -> Sample:
-        """For `estimate`: with the motion that was asked for, as the thesis has it, or with the measured joint values and
-        rates, and the accelerations that were asked for."""
-        motion = (self.q_des, self.qdot_des) if desired else (self.q, self.qdot)
-        return Sample(*motion, self.qddot_des, self.current, self.torsion)
+    asked: Motion
+    measured: Motion
 
 
 def mujoco_model(robot: Robot, dt: float = 1e-3, gravity: Any = GRAVITY) -> Any:
-    """The robot as a compiled `mujoco.MjModel`, a body a joint, without shapes, limits and friction. Host.
+    """Compiles the robot as a `mujoco.MjModel`, a body a joint, without shapes, limits and friction. Host.
 
     Raises `ValueError` for a robot without bodies, and one that names the extra where MuJoCo is not installed.
     """
@@ -140,35 +118,36 @@ def mujoco_model(robot: Robot, dt: float = 1e-3, gravity: Any = GRAVITY) -> Any:
 def play(
     robot: Robot,
     motions: Trajectory | Sequence[Trajectory],
-    pushes: Sequence[Push] = (),
     *,
+    pushes: Sequence[Push] = (),
     model: Robot | None = None,
-    instruments: Instruments = Instruments(),
-    gains: Gains = Gains(),
-    dt: float = 1e-3,
-    rest: tuple[float, float] = (0.0, 0.0),
     seed: int = 0,
-) -> SimulatedLog:
-    """The log of an arm, `robot` with its drives, that plays a motion, or several in a row, a sample every `dt` [s]. Host
-    driver.
+    options: PlayOptions | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **changes: Any,
+) -> Played:
+    """Plays a motion, or several in a row, on a simulated arm, `robot` with its drives, and logs it. Host driver.
 
-    The controllers know the arm as `model`, by default as it is. Before and after each motion it stands still for `rest` [s].
-    Raises `ValueError` for a robot without bodies, for a push on a link that it does not have, for numbers out of
-    range, and one that names the extra where MuJoCo is not installed.
+    The controllers know the arm as `model`, by default as it is. `changes` are fields of the options; `progress` is told how
+    many samples are done, of how many. Raises `ValueError` for a robot without bodies, for a push on a link that it does not
+    have, for numbers out of range, and one that names the extra where MuJoCo is not installed.
     """
     mujoco = optional("play: a simulation", "mujoco", "mjcf")
     model = robot if model is None else model
-    _check(robot, model, dt, rest, seed)
-    arm, on_bodies = mujoco_model(robot, dt), [_on_body(robot, push) for push in pushes]
-    t, desired = _with_rests([motions] if isinstance(motions, Trajectory) else motions, dt, rest)
-    if desired.q.shape[1] != robot.num_joints:
-        raise ValueError(f"play: the motion has {desired.q.shape[1]} joints; {robot.name} has {robot.num_joints}")
-    simulated = _simulated(mujoco, arm, robot, _controller(model, desired, gains), on_bodies, t, desired)
-    q, qdot, current, external, torque, gear = simulated
+    options = PlayOptions.chosen(options, changes)
+    check_seed("play", seed)
+    for name, arm in (("robot", robot), ("model", model)):
+        check_kind("play", name, arm, Robot)
+    arm, on_bodies = mujoco_model(robot, options.dt), [_on_body(robot, push) for push in pushes]
+    asked = _with_rests([motions] if isinstance(motions, Trajectory) else motions, options)
+    if asked.q.shape[1] != robot.num_joints:
+        raise ValueError(f"play: the motion has {asked.q.shape[1]} joints; {robot.name} has {robot.num_joints}")
+    controller = _controller(model, asked, options)
+    q, velocity, current, external, torque, gear = _simulated(mujoco, arm, robot, controller, on_bodies, asked, progress)
     torsion = gear / _of_drives(robot, lambda d: d.stiffness)
-    q, qdot, current, torsion = _measured(instruments, dt, seed, q, current, torsion)
-    asked = {f"{name}_des": np.asarray(x) for name, x in zip(("q", "qdot", "qddot"), desired.state, strict=True)}
-    return SimulatedLog(t=t, **asked, q=q, qdot=qdot, current=current, torsion=torsion, external=external, torque=torque)
+    q, velocity, current, torsion = _measured(options, seed, q, current, torsion)
+    both = {"time": asked.time, "current": current, "torsion": torsion, "torque": torque, "external": external}
+    return Played(Motion(*asked.state, **both), Motion(q, velocity, **both))
 
 
 class _Controller(NamedTuple):
@@ -180,14 +159,6 @@ class _Controller(NamedTuple):
     per_rate: np.ndarray
 
 
-def _check(robot: Robot, model: Robot, dt: float, rest: tuple[float, float], seed: int) -> None:
-    check_finite("play", 1e-6, dt=dt)
-    check_finite("play", 0.0, **{"rest before": rest[0], "rest after": rest[1]})
-    check_seed("play", seed)
-    for name, arm in (("robot", robot), ("model", model)):
-        check_kind("play", name, arm, Robot)
-
-
 def _of_drives(robot: Robot, get: Callable[[Drive], Any]) -> np.ndarray:
     """A number of every drive (n,). Raises `ValueError` for a robot without drives."""
     if not robot.drives:
@@ -196,9 +167,16 @@ def _of_drives(robot: Robot, get: Callable[[Drive], Any]) -> np.ndarray:
 
 
 def _simulated(
-    mujoco: Any, arm: Any, robot: Robot, controller: _Controller, pushes: Sequence[_OnBody], t: np.ndarray, desired: Motion
+    mujoco: Any,
+    arm: Any,
+    robot: Robot,
+    controller: _Controller,
+    pushes: Sequence[_OnBody],
+    desired: Motion,
+    progress: Callable[[int, int], None] | None,
 ) -> np.ndarray:
-    """q, qdot, currents, what pushes do to the joints, what the drives do, and what the gears carry of it, (6, k, n)."""
+    """q, rates, currents, what pushes do to the joints, what the drives do, and what the gears carry of it, (6, k, n)."""
+    t = desired.time
     forward, per_error, per_rate = controller
     gain, spring = _of_drives(robot, lambda d: d.torque_per_current), _of_drives(robot, lambda d: d.spring_force)
     friction = HostKernel(lambda qdot, torque: friction_torque(robot, qdot, torque), 2)
@@ -217,25 +195,27 @@ def _simulated(
         mujoco.mj_step(arm, data)
         torque[k] = given = driven + data.qfrc_constraint
         gear[k] = given - arm.dof_armature * data.qacc
+        if progress is not None and (k % TOLD == TOLD - 1 or k == len(t) - 1):
+            progress(k + 1, len(t))
     if not np.isfinite(q).all():
         off = t[np.argmin(np.isfinite(q).all(axis=1))]
-        raise ValueError(f"play: {robot.name} flies apart after {off:g} s; lower gains or dt")
+        raise ValueError(f"play: {robot.name} flies apart after {off:g} s; lower frequency or dt")
     return found
 
 
-def _with_rests(motions: Sequence[Trajectory], dt: float, rest: tuple[float, float]) -> tuple[np.ndarray, Motion]:
+def _with_rests(motions: Sequence[Trajectory], options: PlayOptions) -> Motion:
     """Samples of the motions in a row, the arm at rest before and after each."""
-    before, after = (round(x / dt) for x in rest)
+    before, after = (round(x / options.dt) for x in options.rest)
     states = []
     for motion in motions:
-        moved, stays = motion.sample(dt), ((before, after), (0, 0))
+        moved, stays = motion.sample(options.dt), ((before, after), (0, 0))
         states.append((np.pad(moved.q, stays, "edge"), np.pad(moved.velocity, stays), np.pad(moved.acceleration, stays)))
-    whole = Motion(*map(np.concatenate, zip(*states, strict=True)))
-    return dt * np.arange(len(whole.q)), whole
+    q, velocity, acceleration = map(np.concatenate, zip(*states, strict=True))
+    return Motion(q, velocity, acceleration, options.dt * np.arange(len(q)))
 
 
-def _controller(model: Robot, desired: Motion, gains: Gains) -> _Controller:
-    """Of joints that are to move as `desired`, by what the model says of them."""
+def _controller(model: Robot, desired: Motion, options: PlayOptions) -> _Controller:
+    """Controllers of joints that are to move as `desired`, by what the model says of them."""
     gain = _of_drives(model, lambda d: d.torque_per_current)
 
     def asked(q: Any, qdot: Any, qddot: Any) -> Any:
@@ -243,8 +223,8 @@ def _controller(model: Robot, desired: Motion, gains: Gains) -> _Controller:
 
     (forward,) = HostKernel(asked, 3).run(*desired.state, double=True)
     (inertia,) = HostKernel(lambda q: jnp.diagonal(mass_matrix(model, q)), 1).run(desired.q[:1], double=True)
-    stiff = gains.frequency**2 * inertia[0] / gain
-    return _Controller(forward, stiff, 2.0 * gains.damping / gains.frequency * stiff)
+    stiff = options.frequency**2 * inertia[0] / gain
+    return _Controller(forward, stiff, 2.0 * options.damping / options.frequency * stiff)
 
 
 class _OnBody(NamedTuple):
@@ -280,19 +260,19 @@ def _pushed(mujoco: Any, model: Any, data: Any, pushes: Sequence[_OnBody], t: fl
     return total
 
 
-def _measured(instruments: Instruments, dt: float, seed: int, q: Any, current: Any, torsion: Any) -> tuple[np.ndarray, ...]:
-    """q, qdot, current and torsion as the instruments show them."""
+def _measured(options: PlayOptions, seed: int, q: Any, current: Any, torsion: Any) -> tuple[np.ndarray, ...]:
+    """q, rates, currents and torsions as the sensors show them."""
     rng = np.random.default_rng(seed)
     noisy = lambda x, by: x + by * rng.standard_normal(x.shape)
-    q, window = _stepped(q, instruments.position_step), instruments.window
-    slack = np.broadcast_to(instruments.torsion_play, q.shape[1:])
+    q, window = _stepped(q, options.position_step), options.window
+    slack = np.broadcast_to(options.torsion_play, q.shape[1:])
     anywhere = torsion[0] + slack * rng.uniform(-1.0, 1.0, slack.shape)
     before = np.concatenate([np.repeat(q[:1], window, axis=0), q[:-window]])
-    current = _stepped(noisy(current, instruments.current_noise), instruments.current_step)
+    current = _stepped(noisy(current, options.current_noise), options.current_step)
     drag = itertools.accumulate(torsion, lambda y, x: np.clip(y, x - slack, x + slack), initial=anywhere)
     torsion = np.array([*drag])[1:]
-    torsion = _stepped(noisy(torsion, instruments.torsion_noise), instruments.torsion_step)
-    return q, (q - before) / (window * dt), current, torsion
+    torsion = _stepped(noisy(torsion, options.torsion_noise), options.torsion_step)
+    return q, (q - before) / (window * options.dt), current, torsion
 
 
 def _stepped(x: np.ndarray, step: Any) -> np.ndarray:

@@ -19,6 +19,7 @@ External is what the world does to the joints, J'f of a force f on the arm, as t
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -29,7 +30,8 @@ from jaxik.checks.arrays import Array, is_known, numbers
 from jaxik.checks.options import check_kind
 from jaxik.dynamics.actuation import torque_of_current
 from jaxik.dynamics.recursions import inverse_dynamics
-from jaxik.estimation.sampled import Sample
+from jaxik.estimation.estimator import Estimator
+from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot, need_drives
 from jaxik.pytree import Constant
 
@@ -68,7 +70,7 @@ class TorqueFilter(Constant):
 
     @staticmethod
     def of_drives(robot: Robot, process: Any, current_noise: Any, torsion_noise: Any = np.inf) -> TorqueFilter:
-        """With what the robot's drives say of their sensors; variances of all joints alike, or (n,). Host.
+        """Makes the filter of what the robot's drives say of their sensors; variances of all joints alike, or (n,). Host.
 
         Raises `ValueError` for a robot without drives.
         """
@@ -81,7 +83,7 @@ class TorqueFilter(Constant):
 
     @property
     def information(self) -> tuple[Any, Any]:
-        """What a sample of the current, and of the torsion, tells of the torque, each (n,) [1/Nm2]; S is their sum."""
+        """How much a sample of the current, and of the torsion, tells of the torque, each (n,) [1/Nm2]; S is their sum."""
         return self.current_per_torque**2 / self.current_noise, self.torsion_per_torque**2 / self.torsion_noise
 
     @property
@@ -96,12 +98,12 @@ class TorqueFilter(Constant):
         return told / (1.0 + told)
 
     def residual(self, current: Any, torsion: Any, internal: Any) -> Any:
-        """r (n,) [Nm] of one sample: current [A], less what friction takes, torsion [rad] and T_int [Nm]. Traced."""
+        """Returns r (n,) [Nm] of one sample: current [A], less what friction takes, torsion [rad] and T_int [Nm]. Traced."""
         told = self.current_per_torque / self.current_noise * current + self.torsion_per_torque / self.torsion_noise * torsion
         return internal - told / sum(self.information)
 
     def step(self, external: Any, current: Any, torsion: Any, internal: Any) -> Any:
-        """The next T_ext (n,), of the one before and a sample. Traced."""
+        """Returns the next T_ext (n,), from the one before and a sample. Traced."""
         return external + self.gain * (self.residual(current, torsion, internal) - external)
 
 
@@ -120,13 +122,12 @@ class SteadyState(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class TorqueEstimator:
-    """The filter on a robot with drives: T_int by `inverse_dynamics`, friction by the drives' laws. For `estimate` and
-    `EstimationLoop`.
+class TorqueEstimator(Estimator):
+    """The filter on a robot with drives: T_int by `inverse_dynamics`, friction by the drives' laws.
 
-    Where q, qdot and qddot are those that were asked for, they are as smooth as the plan. `width` [rad/s, m/s] is that of
-    `friction_torque`. A sample has currents and torsions where the filter has a finite noise of any; raises `ValueError` for
-    one without, for a robot without drives, and for a filter of other joints.
+    Where q, velocity and acceleration are those that were asked for, they are as smooth as the plan. `width` [rad/s, m/s] is
+    that of `friction_torque`. A sample has currents and torsions where the filter has a finite noise of any; raises
+    `ValueError` for one without, for a robot without drives, and for a filter of other joints.
     """
 
     robot: Robot
@@ -140,26 +141,35 @@ class TorqueEstimator:
             joints = f"{self.robot.name} has {self.robot.num_joints} joints"
             raise ValueError(f"torque estimator: a filter of {len(self.filter.process)} joints; {joints}")
 
-    def sense(self, sample: Sample) -> Sensed:
-        """Traced. The gear does not carry what accelerates the rotor, which is made up for."""
+    @functools.cached_property
+    def reads(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The motion, and what sensors show that any joint has."""
+        return ("q", "velocity", "acceleration", *(name for name in ("current", "torsion") if self._has(name)))
+
+    def _has(self, name: str) -> bool:
+        noise = getattr(self.filter, f"{name}_noise")
+        return not is_known(noise) or bool(np.isfinite(noise).any())
+
+    def sense(self, sample: Motion) -> Sensed:
+        """Returns the sample in the filter's terms. Traced. The gear does not carry what accelerates the rotor, which is made
+        up for."""
         robot, filter = self.robot, self.filter
-        qddot = sample.needed("torque estimator", "qddot")
+        qddot = sample.needed("torque estimator", "acceleration")
         current, torsion = self._measured(sample, "current"), self._measured(sample, "torsion")
-        internal = inverse_dynamics(robot, sample.q, sample.qdot, qddot)
-        torque = torque_of_current(robot, jnp.asarray(current), jnp.asarray(sample.qdot), width=self.width)
+        internal = inverse_dynamics(robot, sample.q, sample.velocity, qddot)
+        torque = torque_of_current(robot, jnp.asarray(current), jnp.asarray(sample.velocity), width=self.width)
         rotor = robot.armature * qddot
         return Sensed(torque * filter.current_per_torque, torsion + rotor * filter.torsion_per_torque, internal)
 
-    def _measured(self, sample: Sample, name: str) -> Any:
-        """What a sensor shows; of one that no joint has, which counts for nothing, zeros."""
-        noise = getattr(self.filter, f"{name}_noise")
-        there = not is_known(noise) or np.isfinite(noise).any()
-        return sample.needed("torque estimator", name) if there or getattr(sample, name) is not None else 0.0 * sample.q
+    def _measured(self, sample: Motion, name: str) -> Any:
+        """What a sensor shows; zeros for one that no joint has, which counts for nothing."""
+        return sample.needed("torque estimator", name) if self._has(name) else 0.0 * sample.q
 
     def init(self, sensed: Sensed) -> SteadyState:
-        """As if nothing touched the arm. Traced."""
+        """Returns the state as if nothing touched the arm. Traced."""
         return SteadyState(jnp.zeros_like(sensed.internal))
 
     def advance(self, state: SteadyState, sensed: Sensed, missed: Any = 0) -> SteadyState:
-        """The next state; each sample tells a torque by itself, so that those `missed` only make it come later. Traced."""
+        """Returns the next state; each sample tells a torque by itself, so that those `missed` only make it come later.
+        Traced."""
         return SteadyState(self.filter.step(state.external, *sensed))

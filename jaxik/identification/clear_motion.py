@@ -35,7 +35,7 @@ class ClearSpace:
         try:
             check_geometry(robot)
         except ValueError as error:
-            raise ValueError(f"{who}: {error}; or write margin=None for a motion that may hit") from None
+            raise ValueError(f"{who}: {error}; or write collision=False for a motion that may hit") from None
         self.robot, self.margin, self.around = robot, margin, grouped(scene, robot)
         self.checker = CollisionChecker(robot, scene, margin)
 

@@ -34,7 +34,7 @@ from jaxik.identification.identifiable import (
 )
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
-from jaxik.options import Options, anything, count, number
+from jaxik.options import Options, anything, count, flag, number
 from jaxik.reasons import Reason
 from jaxik.results import Result
 
@@ -60,9 +60,8 @@ class ExciteOptions(Options, who="excite"):
     velocity: float = number(default=1.0, unit="rad/s, m/s", above=0.0, words="limit of all joints, beside the robot's own")
     acceleration: float = number(default=4.0, unit="rad/s2, m/s2", above=0.0, words="limit of all joints")
     share: float = number(default=0.9, above=0.0, most=1.0, words="part of a joint's range that is used")
-    margin: float | None = number(
-        default=0.0, unit="m", words="clearance that is kept all the time; None looks at no collisions", optional=True
-    )
+    margin: float = number(default=0.0, unit="m", words="clearance that is kept all the time")
+    collision: bool = flag(default=True, words="whether collisions are looked at, at all")
     middle: Any = anything(
         default=None,
         unit="rad, m",
@@ -213,15 +212,15 @@ def excite(
     are in the robot or in the scene, or are not looked at. `changes` are fields of the options; `progress` is told how many
     steps are done, of how many at most.
 
-    Raises `ValueError` for options that cannot be used, for a joint that cannot move, for a robot without shapes where
-    `margin` is not None, and where no motion is clear. Source: Swevers, Ganseman, Tukel, De Schutter, Van Brussel 1997.
+    Raises `ValueError` for options that cannot be used, for a joint that cannot move, for a robot without shapes unless
+    `collision=False`, and where no motion is clear. Source: Swevers, Ganseman, Tukel, De Schutter, Van Brussel 1997.
     """
     check_kind("excite", "robot", robot, Robot)
     check_kind("excite", "scene", scene, Scene, optional=True)
     check_seed("excite", seed)
     options = ExciteOptions.chosen(options, changes)
     _check_moves(robot)
-    space = None if options.margin is None else ClearSpace("excite", robot, scene, options.margin)
+    space = ClearSpace("excite", robot, scene, options.margin) if options.collision else None
     with threadpool_limits(1, "blas"):  # matrices are small, and threads would wait for each other
         search = _Search(robot, space, _middle(robot, space, options, seed), options)
         return _excited(search, options, seed, progress)

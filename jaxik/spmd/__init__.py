@@ -6,18 +6,20 @@
     jax.jit(jax.vmap(f))        # one SIMD function over the batch on a CPU; the same function, by XLA, elsewhere
 
 It knows no robot. In the order in which a function passes through: `trace` (to a jaxpr), `scalarise` and its `rules` (to a
-`program` of scalars, with `elementary` functions by polynomials), `emit` (LLVM's language, a vector of lanes at a time: what
-is needed and what varies by `liveness`, names by `values`, instructions by `arithmetic`, loads and stores by `memory` and by
+`program` of scalars, with `elementary` functions by polynomials), `emit` (LLVM's language, a vector of lanes at a time: what is
+needed and what varies by `liveness`, names by `values`, instructions by `arithmetic`, loads and stores by `memory` and by
 `rows`, all written as `text`), `handler` (what XLA calls) and `threads`, `machine` (machine code), `call` (kept in memory and
-on disk), `primitive` (batches, derivatives where there is `linearity`, lowering). `host` calls a kernel on NumPy arrays;
-`describe` says what was made of a function. `docs/kernels.md` tells it from the beginning.
+on disk), `primitive` (batches, derivatives where there is `linearity`, lowering). `host` calls a kernel on NumPy arrays,
+`control_loop` one with a state, sample by sample; `describe` says what was made of a function. `docs/kernels.md` tells it from
+the beginning.
 """
 
 from jaxik.spmd import jax_version as jax_version  # first: it may refuse
 from jaxik.spmd import rules as rules  # which register themselves
+from jaxik.spmd.control_loop import ControlLoop, Stepped
 from jaxik.spmd.decorator import kernel
 from jaxik.spmd.host import HostKernel
 from jaxik.spmd.report import KernelReport, describe
 from jaxik.spmd.scalarise import Unsupported
 
-__all__ = ["HostKernel", "KernelReport", "Unsupported", "describe", "kernel"]
+__all__ = ["ControlLoop", "HostKernel", "KernelReport", "Stepped", "Unsupported", "describe", "kernel"]

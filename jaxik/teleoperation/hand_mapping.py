@@ -1,4 +1,4 @@
-"""From a hand's place to the velocity that it asks of the tip [Schuetz 2017, sec. 3.1.4, fig. 3.5].
+"""Mappings of a hand's place to the velocity that it asks of the tip [Schuetz 2017, sec. 3.1.4, fig. 3.5].
 
     rate control       v = g(dx) dx / |dx|,       g = (exp(c2 (|dx| - band)) - 1) / c1       dx = x_hand - x_ref
     position control   v = k xdot_hand,           w = integral of v, which the arm makes up for in the time T
@@ -19,14 +19,13 @@ would make that a command.
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from jaxik.checks.arrays import Array
-from jaxik.checks.options import check_finite
+from jaxik.options import Options, number
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
 
 _FASTEST_HAND = 5.0  # [m/s]; beyond it is a device that jumps, and begins anew where it is
@@ -42,31 +41,24 @@ class Mapped(NamedTuple):
     known: Bool[Array, ""]
 
 
-class _Mapping:
+class _Mapping(Options):
     def init(self) -> Mapped:
-        """Before the first sample, where the reference is taken. Traced."""
+        """Returns the state before the first sample, where the reference is taken. Traced."""
         return Mapped(jnp.zeros(3), jnp.zeros(3), jnp.zeros((), bool), jnp.zeros((), bool))
 
 
-@dataclasses.dataclass(frozen=True)
-class RateControl(_Mapping):
-    """A deviation is a velocity: for devices whose workspace is much smaller than the arm's, sticks, and keys.
+class RateControl(_Mapping, who="rate control"):
+    """A deviation is a velocity: for devices whose workspace is much smaller than the arm's, sticks, and keys."""
 
-    `dead_band` [m]; `c1` [s/m] and `c2` [1/m] shape the exponential; at most `fastest` [m/s] and `turning` [rad/s].
-    """
-
-    dead_band: float = 0.003
-    c1: float = 50.0
-    c2: float = 40.0
-    fastest: float = 0.25
-    turning: float = 0.5
-
-    def __post_init__(self) -> None:
-        check_finite("rate control", 0.0, dead_band=self.dead_band, c2=self.c2, fastest=self.fastest, turning=self.turning)
-        check_finite("rate control", 1e-9, c1=self.c1)
+    dead_band: float = number(default=0.003, unit="m", least=0.0, words="radius about the reference where the arm stands still")
+    c1: float = number(default=50.0, unit="s/m", least=1e-9, words="shapes the exponential")
+    c2: float = number(default=40.0, unit="1/m", least=0.0, words="shapes it, too")
+    fastest: float = number(default=0.25, unit="m/s", least=0.0, words="bound of the tip's speed")
+    turning: float = number(default=0.5, unit="rad/s", least=0.0, words="bound of the tip's turn")
 
     def step(self, state: Mapped, position: Any, active: Any, dt: float) -> tuple[Mapped, Any]:
-        """The velocity (3,) [m/s] for a hand at `position` (3,) [m] that may move the arm if `active`. Traced."""
+        """Returns the state and the velocity (3,) [m/s] for a hand at `position` (3,) [m] that may move the arm if `active`.
+        Traced."""
         reference = jnp.where(state.known | ~active, state.reference, position)
         away = position - reference
         size = safe_sqrt(away @ away)
@@ -76,25 +68,19 @@ class RateControl(_Mapping):
         return Mapped(reference, state.asked + dt * velocity, moves, state.known | active), velocity
 
 
-@dataclasses.dataclass(frozen=True)
-class PositionControl(_Mapping):
-    """A way of the hand is a way of the tip, `workspace` times as long, as with a computer's mouse.
+class PositionControl(_Mapping, who="position control"):
+    """A way of the hand is a way of the tip, as with a computer's mouse."""
 
-    The arm makes up for it in the time constant `smoothing` [s], which takes tremor away (T in the equation; a sample if that
-    is longer), with at most `fastest` [m/s] and `turning` [rad/s].
-    """
-
-    workspace: float = 1.0
-    smoothing: float = 0.0
-    fastest: float = 0.5
-    turning: float = 0.5
-
-    def __post_init__(self) -> None:
-        check_finite("position control", 1e-9, workspace=self.workspace)
-        check_finite("position control", 0.0, smoothing=self.smoothing, fastest=self.fastest, turning=self.turning)
+    workspace: float = number(default=1.0, least=1e-9, words="how many times as long the tip's way is")
+    smoothing: float = number(
+        default=0.0, unit="s", least=0.0, words="time constant T in which the arm makes up for it, which takes tremor away"
+    )
+    fastest: float = number(default=0.5, unit="m/s", least=0.0, words="bound of the tip's speed")
+    turning: float = number(default=0.5, unit="rad/s", least=0.0, words="bound of the tip's turn")
 
     def step(self, state: Mapped, position: Any, active: Any, dt: float) -> tuple[Mapped, Any]:
-        """The velocity (3,) [m/s] for a hand at `position` (3,) [m] that may move the arm if `active`. Traced."""
+        """Returns the state and the velocity (3,) [m/s] for a hand at `position` (3,) [m] that may move the arm if `active`.
+        Traced."""
         way = position - state.reference
         follows = active & state.moves & (way @ way <= (_FASTEST_HAND * dt) ** 2)
         velocity = jnp.where(follows, self.workspace * way / dt, 0.0)
@@ -102,6 +88,6 @@ class PositionControl(_Mapping):
 
 
 def bounded(vector: Any, most: Any) -> Any:
-    """A vector, no longer than `most`. Traced."""
+    """Returns a vector no longer than `most`. Traced."""
     size = safe_sqrt(vector @ vector)
     return vector * jnp.where(size > most, safe_divide(most, size), 1.0)

@@ -27,7 +27,6 @@ which its friction has to take [Colgate and Schenkel 1997].
 
 from __future__ import annotations
 
-import dataclasses
 from math import inf
 from typing import Any, NamedTuple, Protocol
 
@@ -35,7 +34,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jaxik.checks.arrays import Array
-from jaxik.checks.options import check_finite
+from jaxik.options import Options, number
 from jaxik.spatial.algebra import safe_divide
 from jaxik.teleoperation.hand_mapping import bounded
 
@@ -72,7 +71,7 @@ class Channel(Protocol):
         ...
 
     def release(self, end: End, arrived: Packet) -> End:
-        """The arm's end, without what it has not played yet."""
+        """Returns the arm's end without what it has not played yet."""
         ...
 
     def hand(self, end: End, arrived: Packet, velocity: Any, dt: float) -> tuple[End, Packet, Any]:
@@ -95,35 +94,31 @@ class Channel(Protocol):
         ...
 
 
-class _Channel:
+class _Channel(Options):
     def init(self) -> End:
-        """One end, before anything was sent. Traced."""
+        """Returns one end, before anything was sent. Traced."""
         return End(silence(), silence(), jnp.zeros(3), jnp.zeros(()))
 
     def release(self, end: End, arrived: Packet) -> End:
-        """The arm's end, without what it has not played yet. Traced."""
+        """Returns the arm's end without what it has not played yet. Traced."""
         return end._replace(played=Packet(arrived.values, end.played.energy), now=jnp.zeros(3))
 
     def share(self, end: End, force: Any, moved: Any, dt: float) -> Any:
-        """All of it: as `Channel` says. Traced."""
+        """Returns 1, all of it. Traced."""
         return 1.0
 
 
-@dataclasses.dataclass(frozen=True)
-class Direct(_Channel):
+class Direct(_Channel, who="channel"):
     """Velocity and force as they are: no method, what the others are measured against, and enough where nothing is late.
 
     The velocity's integral travels, so that a lost packet costs no way. The hand feels the arm's force, and its own command as
-    that of a damper, `drag` [Ns/m] (the thesis' k_f).
+    that of a damper, `drag` (the thesis' k_f).
     """
 
-    drag: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_finite(type(self).__name__, 0.0, drag=self.drag)
+    drag: float = number(default=0.0, unit="Ns/m", least=0.0, words="of the hand's own command")
 
     def hand(self, end: End, arrived: Packet, velocity: Any, dt: float) -> tuple[End, Packet, Any]:
-        """As `Channel` says. Traced."""
+        """Does what `Channel` says. Traced."""
         force = arrived.values - self.drag * velocity
         over = jnp.maximum(dt * force @ velocity - self._spare(end, arrived), 0.0)
         force = force - velocity * safe_divide(over, dt * velocity @ velocity)
@@ -134,21 +129,22 @@ class Direct(_Channel):
     def arm(
         self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0, fastest: float = inf
     ) -> tuple[End, Any]:
-        """As `Channel` says. Traced."""
+        """Does what `Channel` says. Traced."""
         velocity = (arrived.values - end.played.values) / max(dt, smoothing)
         over = jnp.maximum(-dt * force @ velocity - self._spare(end, arrived), 0.0)
         velocity = velocity + force * safe_divide(over, dt * force @ force)
         return end._replace(spare=self._spare(end, arrived)), bounded(velocity, fastest)
 
     def reply(self, end: End, force: Any, velocity: Any, moved: Any, dt: float) -> tuple[End, Packet]:
-        """As `Channel` says. Traced."""
+        """Does what `Channel` says. Traced."""
         end = _counted(end, dt * force @ moved)
         played = Packet(end.played.values + dt * velocity, end.played.energy)
         sent = Packet(force, end.sent.energy)
         return end._replace(sent=sent, played=played), sent
 
     def release(self, end: End, arrived: Packet) -> End:
-        """The arm's end, without what it has not played yet, but with its energy: the arm may still be moving. Traced."""
+        """Returns the arm's end without what it has not played yet, but with its energy: the arm may still be moving.
+        Traced."""
         return super().release(end, arrived)._replace(spare=self._spare(end, arrived))
 
     def _spare(self, end: End, arrived: Packet) -> Any:
@@ -156,7 +152,7 @@ class Direct(_Channel):
         return jnp.asarray(jnp.inf, arrived.energy.dtype)
 
 
-class PassivityController(Direct):
+class PassivityController(Direct, who="passivity controller"):
     """Time-domain passivity: an observer and a controller at each end, which acts only where energy would be made
     [Hannaford and Ryu 2002; Ryu, Artigas and Preusche 2010]. What it takes from the way is made up for when energy is there."""
 
@@ -164,30 +160,30 @@ class PassivityController(Direct):
         return jnp.maximum(arrived.energy - end.played.energy, 0.0)
 
     def share(self, end: End, force: Any, moved: Any, dt: float) -> Any:
-        """As `Channel` says. Traced."""
+        """Does what `Channel` says. Traced."""
         given = -dt * force @ moved
         return jnp.where(given > end.spare, safe_divide(end.spare, given), 1.0)
 
 
 def _counted(end: End, entered: Any) -> End:
-    """With an energy [J] that went in, or came out where it is below 0."""
+    """Returns the end after an energy [J] went in, or came out where it is below 0."""
     sent = end.sent._replace(energy=end.sent.energy + jnp.maximum(entered, 0.0))
     played = end.played._replace(energy=end.played.energy + jnp.maximum(-entered, 0.0))
     return end._replace(sent=sent, played=played)
 
 
-@dataclasses.dataclass(frozen=True)
-class WaveVariables(_Channel):
-    """Waves of the impedance b, `impedance` [Ns/m]: what the hand feels as the drag of its own motion, and by how much the
-    arm gives way to a force that is new, f_a / (2 b)."""
+class WaveVariables(_Channel, who="wave variables"):
+    """Waves of the impedance b."""
 
-    impedance: float = 20.0
-
-    def __post_init__(self) -> None:
-        check_finite("wave variables", 1e-9, impedance=self.impedance)
+    impedance: float = number(
+        default=20.0,
+        unit="Ns/m",
+        least=1e-9,
+        words="b: the drag of its own motion that the hand feels; the arm gives way to a new force by f_a / (2 b)",
+    )
 
     def hand(self, end: End, arrived: Packet, velocity: Any, dt: float) -> tuple[End, Packet, Any]:
-        """As `Channel` says. Traced."""
+        """Does what `Channel` says. Traced."""
         root = (2.0 * self.impedance) ** 0.5
         end, w = _played(end, arrived, dt)
         u = root * velocity - w
@@ -197,8 +193,8 @@ class WaveVariables(_Channel):
     def arm(
         self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0, fastest: float = inf
     ) -> tuple[End, Any]:
-        """As `Channel` says. Traced. Of a wave that would be faster it plays what is as fast, and the rest later: thrown back
-        it would be felt as a spring of the impedance over the delay, stiff as a wall."""
+        """Does what `Channel` says. Traced. It plays a wave that would be faster as far as that is as fast, and the rest later:
+        thrown back it would be felt as a spring of the impedance over the delay, stiff as a wall."""
         root = (2.0 * self.impedance) ** 0.5
         at = lambda wave: (root * wave + force) / root**2
         whole, wave = _played(end, arrived, dt, smoothing)
@@ -211,8 +207,8 @@ class WaveVariables(_Channel):
         return whole._replace(played=_added(end.played, played, dt), now=played), bound
 
     def reply(self, end: End, force: Any, velocity: Any, moved: Any, dt: float) -> tuple[End, Packet]:
-        """As `Channel` says. What the arm could not do is lost, as in a slipping clutch, as long as what the arm's end has
-        dissipated so far pays for it; then the line is matched, and swallows the whole wave. Traced."""
+        """Does what `Channel` says. Traced. What the arm could not do is lost, as in a slipping clutch, as long as what the
+        arm's end has dissipated so far pays for it; then the line is matched, and swallows the whole wave."""
         root, u = (2.0 * self.impedance) ** 0.5, end.now
         lost = lambda v: dt * (root * u @ v - self.impedance * v @ v + force @ moved)
         velocity = jnp.where(end.spare + lost(velocity) >= 0.0, velocity, u / root)
@@ -220,18 +216,18 @@ class WaveVariables(_Channel):
         return end, end.sent
 
     def share(self, end: End, force: Any, moved: Any, dt: float) -> Any:
-        """As `Channel` says. Traced."""
+        """Does what `Channel` says. Traced."""
         given, most = -dt * force @ moved, end.spare + 0.5 * dt * end.now @ end.now
         return jnp.where(given > most, safe_divide(most, given), 1.0)
 
     def release(self, end: End, arrived: Packet) -> End:
-        """The arm's end, without the waves that it has not played yet, and without their energy. Traced."""
+        """Returns the arm's end without the waves that it has not played yet, and without their energy. Traced."""
         return end._replace(played=arrived, now=jnp.zeros(3))
 
 
 def _played(end: End, arrived: Packet, dt: float, smoothing: float = 0.0) -> tuple[End, Any]:
-    """The wave (3,) that leads to the integral that has arrived in the time `smoothing`, or as fast as the energy that has
-    arrived lasts: over the time |g|^2 / (2 E) a constant wave makes up for the gap g with the energy E."""
+    """Returns the end and the wave (3,) that leads to the integral that has arrived in the time `smoothing`, or as fast as the
+    energy that has arrived lasts: over the time |g|^2 / (2 E) a constant wave makes up for the gap g with the energy E."""
     gap, spare = arrived.values - end.played.values, jnp.maximum(arrived.energy - end.played.energy, 0.0)
     square = gap @ gap
     share = jnp.where(square <= 2.0 * spare * dt, 1.0 / dt, safe_divide(2.0 * spare, square))

@@ -1,4 +1,4 @@
-"""What a hand is to feel of the arm: its contacts, and how it likes its own posture [Schuetz 2017, sec. 3.1.4].
+"""The force that a hand is to feel of the arm: its contacts, and how it likes its own posture [Schuetz 2017, sec. 3.1.4].
 
     power       F_t = (J#)' T_ext,          T_ext = sum J_c' F
     lever       F_t = J S T_ext                                                                               (3.2)
@@ -34,9 +34,10 @@ Felt = Literal["power", "lever", "magnitude"]
 
 
 def reflect(
-    robot: Robot, q: Float[Array, " n"], contact: PointForce, felt: str = "power", length: float = 1.0
+    robot: Robot, q: Float[Array, " n"], contact: PointForce, *, felt: Felt = "power", length: float = 1.0
 ) -> Float[jax.Array, "3"]:
-    """The force (3,) [N] at the tip that stands for a contact anywhere on the arm, or for several, in base axes. Traced.
+    """Returns the force (3,) [N] at the tip that stands for a contact anywhere on the arm, or for several, in base axes.
+    Traced.
 
     `felt` by its "power"; by its "lever", (3.2); or by its "magnitude", (3.3), whatever the lever is. A contact that cannot
     move the tip is not felt. Raises `ValueError` for another word, and a length that is not above zero.
@@ -67,8 +68,9 @@ def _reflected(robot: Robot, felt: str, length: float, q: Any, contact: PointFor
 
 
 def _pushes(rows: Any, torque: Any) -> Any:
-    """The force (3,) of the wrench at the tip that does the work of `torque` (n,) on its twists `rows` @ qdot. Where the tip
-    cannot do one of these, many wrenches do; of them that of the least moment, so that a force alone stays what it is."""
+    """Returns the force (3,) of the wrench at the tip that does the work of `torque` (n,) on its twists `rows` @ qdot. Where
+    the tip cannot do one of these, many wrenches do; the one of the least moment is taken, so that a force alone stays what it
+    is."""
     wrench = least_solve(rows, torque)
     if len(rows) == 3:
         return wrench
@@ -83,10 +85,10 @@ _REGULAR = 1e-6  # of the moment's square: an idle part below is that of the sol
 
 
 def reflect_cost(
-    robot: Robot, q: Float[Array, " n"], cost: Cost, gain: float = 1.0, length: float = 1.0
+    robot: Robot, q: Float[Array, " n"], cost: Cost, *, gain: float = 1.0, length: float = 1.0
 ) -> Float[jax.Array, "3"]:
-    """The force (3,) [N] at the tip that leads down a `cost` of the posture, (3.4), `gain` [N] a unit of it, in base axes.
-    Traced. Raises `ValueError` for a length that is not above zero."""
+    """Returns the force (3,) [N] at the tip that leads down a `cost` of the posture, (3.4), `gain` [N] a unit of it, in base
+    axes. Traced. Raises `ValueError` for a length that is not above zero."""
     check_finite("reflect_cost", 1e-9, length=length)
     q = as_configuration(robot, q)
     check_cost("reflect_cost", cost, robot.num_joints)

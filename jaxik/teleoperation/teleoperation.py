@@ -17,7 +17,6 @@ clear all the same, the reason is told, and when all is well again the hand take
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -26,22 +25,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import Array, positive
-from jaxik.checks.options import check_choices, check_finite, check_kind, shown
+from jaxik.checks.arrays import Array
+from jaxik.checks.options import check_kind, shown
 from jaxik.collision.clearances import check_geometry, clearance
 from jaxik.collision.scene import Scene
 from jaxik.costs import Cost, check_cost
 from jaxik.dynamics.point_force import PointForce, as_point_forces, trusted
-from jaxik.kinematics.forward import forward_kinematics, jacobian
+from jaxik.kinematics.forward import as_posture, forward_kinematics, jacobian
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSE, Task
 from jaxik.motions.nullspace import Box, RateLimits, downhill, resolve
 from jaxik.motions.path import TipMotion
-from jaxik.pytree import Pytree
-from jaxik.reasons import Reason, Reasoned
+from jaxik.options import Options, anything, choice, count, flag, instance, number, per_joint
+from jaxik.reasons import Reason
+from jaxik.results import Result
 from jaxik.spatial.algebra import safe_divide
 from jaxik.spatial.rotations import rotation_exp, rotation_log
-from jaxik.spmd import kernel
+from jaxik.spmd import Stepped, kernel
 from jaxik.teleoperation.delay_line import DelayLine
 from jaxik.teleoperation.hand import Hand
 from jaxik.teleoperation.hand_mapping import Mapped, PositionControl, RateControl, bounded
@@ -77,8 +77,8 @@ class TeleoperationState(NamedTuple):
     energy: Float[Array, ""]
 
 
-class TeleoperationCommand(Pytree, Reasoned):
-    """What to do now: the joints' `rate` (n,) [rad/s, m/s] and the `force` (3,) [N] on the hand, along the world's axes. And
+class TeleoperationCommand(Result):
+    """The command: the joints' `rate` (n,) [rad/s, m/s] and the `force` (3,) [N] on the hand, along the world's axes. And
     what is known: where the tip is to be, `target` (4, 4) in the base frame, the force at the tip that stands for the contacts,
     `felt` (3,) [N] in world axes, the passivity sum, `energy` [J], the `clearance` [m], infinite where it is not measured, and
     the `reason` for which the arm is held, SOLVED where it is not."""
@@ -91,80 +91,117 @@ class TeleoperationCommand(Pytree, Reasoned):
     clearance: Float[Array, "*t"]
     reason: Int[Array, "*t"]
 
+    HELP = {
+        Reason.INVALID: "a number of the hand, the joints or a sensor is none, and the arm is held still",
+        Reason.SILENT: "the device says nothing, and the arm is held still",
+    }
+    ROW = "sample"
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Teleoperation:
-    """A hand, an arm, and what is between. `step` is pure and traced; `TeleoperationLoop` makes one kernel of it.
 
-    `mapping` and `channel` are of a kind each; `there` and `back` delay what they send, for simulations: a real network does
-    so itself. `cost` is what the null space goes down, by `alpha`; `gain` [1/s] pulls the tip to its target; `acceleration`
-    [rad/s2, m/s2] is one or one a joint, exceeded only where an arm has to stop that would come too near, or make energy.
-    `margin` [m] is kept to itself and to `scene`, approached at `approach` [1/s]; None measures no clearance. `patience` [s]
-    is how long a device may be silent. `felt` says how contacts are reflected, and `force_ratio` the force on the hand by
-    that at the arm. Raises `ValueError` for numbers out of range.
+class Teleoperation(Options, Stepped, who="teleoperation"):
+    """A hand, an arm, and what is between; for `ControlLoop`, and traced.
+
+    loop = ControlLoop(teleoperation)
+    state = loop.start(q)
+    while True:
+        state, command = loop.step(state, q, watch.read())  # and the contacts, if there are any
+        watch.render(command.force)
     """
 
-    robot: Robot
-    mapping: RateControl | PositionControl = dataclasses.field(default_factory=PositionControl)
-    channel: Channel = dataclasses.field(default_factory=Direct)
-    there: DelayLine = dataclasses.field(default_factory=DelayLine)
-    back: DelayLine = dataclasses.field(default_factory=functools.partial(DelayLine, seed=1))
-    task: Task = POSE
-    cost: Cost | None = None
-    alpha: float = 1.0
-    scene: Scene | None = None
-    margin: float | None = 0.01
-    approach: float = 10.0
-    dt: float = 0.001
-    gain: float = 20.0
-    acceleration: float | tuple[float, ...] = 20.0
-    leash: float = 0.05
-    patience: float = 0.2
-    felt: str = "power"
-    force_ratio: float = 1.0
+    robot: Robot = instance(kind=Robot, words="the arm", kw_only=False)
+    mapping: RateControl | PositionControl = anything(default=PositionControl(), words="what a hand's place asks of the tip")
+    channel: Channel | None = anything(
+        default=None, words="what keeps delays from making energy; None sends velocity and force as they are"
+    )
+    drag: float = number(default=0.0, unit="Ns/m", least=0.0, words="of the hand's own command, without a channel")
+    there: DelayLine | None = instance(
+        default=None, kind=DelayLine, optional=True, words="delays what is sent to the arm, in simulations"
+    )
+    back: DelayLine | None = instance(
+        default=None, kind=DelayLine, optional=True, words="delays what comes back; a real network does so itself"
+    )
+    task: Task = instance(default=POSE, kind=Task, words="what of the tip's motion is asked for")
+    cost: Cost | None = anything(default=None, words="what the null space goes down")
+    alpha: float = number(default=1.0, least=0.0, words="how far down it goes")
+    scene: Scene | None = instance(default=None, kind=Scene, optional=True, words="obstacles; None is the robot against itself")
+    margin: float = number(default=0.0, unit="m", least=0.0, words="clearance that is kept")
+    collision: bool = flag(default=True, words="whether clearance is measured at all")
+    approach: float = number(
+        default=10.0, unit="1/s", least=1e-6, words="share of the room to the margin that may go in a second"
+    )
+    dt: float = number(default=0.001, unit="s", least=1e-6, words="between samples")
+    gain: float = number(default=20.0, unit="1/s", least=0.0, words="by which the tip is pulled to its target")
+    acceleration: float | tuple[float, ...] = per_joint(
+        default=20.0,
+        unit="rad/s2, m/s2",
+        words="bound, exceeded only where an arm has to stop that would come too near, or make energy",
+    )
+    leash: float = number(default=0.05, unit="m, rad", least=1e-6, words="how far the target may be from the tip")
+    patience: float = number(default=0.2, unit="s", least=1e-6, words="how long a device may be silent")
+    felt: Felt = choice(default="power", kinds=Felt, words="how contacts are reflected")
+    force_ratio: float = number(default=1.0, least=0.0, words="force on the hand by that at the arm")
+    contacts: int = count(default=0, least=0, words="how many a `ControlLoop` is given; one without a force is none")
+    buttons: int = count(default=1, words="how many it is given; one that a device does not have is not pressed")
 
-    def __post_init__(self) -> None:
-        check_kind("teleoperation", "robot", self.robot, Robot)
-        check_kind("teleoperation", "scene", self.scene, Scene, optional=True)
-        check_finite("teleoperation", 1e-6, dt=self.dt, leash=self.leash, patience=self.patience, approach=self.approach)
-        check_finite("teleoperation", 0.0, alpha=self.alpha, gain=self.gain, force_ratio=self.force_ratio)
-        check_kind("teleoperation", "task", self.task, Task)
-        for name in ("there", "back"):
-            check_kind("teleoperation", name, getattr(self, name), DelayLine)
-        for name, kinds in (("mapping", "PositionControl"), ("channel", "Direct")):
+    def check(self) -> None:
+        for name, kinds in (("mapping", "PositionControl"), ("channel", "WaveVariables")):
             given = getattr(self, name)
-            if isinstance(given, type) or not hasattr(given, "init"):
+            if isinstance(given, type) or not (hasattr(given, "init") or (name == "channel" and given is None)):
                 raise ValueError(f"teleoperation: {name} is {shown(given)}; write one of its kinds, as {kinds}()")
-        check_choices("teleoperation", felt=(self.felt, Felt))
+        if self.drag and self.channel is not None:
+            raise ValueError(f"teleoperation: drag {self.drag:g} beside a channel; leave one of them out")
         if self.cost is not None:
             check_cost("teleoperation", self.cost, self.robot.num_joints)
-        most = positive("teleoperation: acceleration", self.acceleration, True)
-        object.__setattr__(self, "acceleration", most)
+        most = self.acceleration
         if isinstance(most, tuple) and len(most) != self.robot.num_joints:
             told = f"acceleration has {len(most)} numbers; {self.robot.name} has {self.robot.num_joints} joints"
             raise ValueError(f"teleoperation: {told}")
         if max(self.gain, self.approach) * self.dt > 1.0:
             told = f"gain {self.gain:g} and approach {self.approach:g}"
             raise ValueError(f"teleoperation: {told} at dt {self.dt:g} s; allowed: at most 1 / dt [1/s]")
-        if self.margin is not None:
-            check_finite("teleoperation", 0.0, margin=self.margin)
+        if self.collision:
             try:
                 check_geometry(self.robot)
             except ValueError as error:
-                raise ValueError(f"teleoperation: {error}; or margin=None, which measures no clearance") from None
+                raise ValueError(f"teleoperation: {error}; or collision=False, which measures no clearance") from None
+
+    @functools.cached_property
+    def _channel(self) -> Channel:
+        return Direct(drag=self.drag) if self.channel is None else self.channel
+
+    @functools.cached_property
+    def _lines(self) -> tuple[DelayLine, DelayLine]:
+        return self.there or DelayLine(), self.back or DelayLine()
+
+    def begun(self, q: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        q = as_posture("teleoperation loop", self.robot, q)
+        return (q,), (q, Hand(np.zeros(3), np.zeros(3), np.zeros(self.buttons), 0.0), self._free)
+
+    @functools.cached_property
+    def _free(self) -> PointForce | None:
+        k = self.contacts
+        return PointForce(np.zeros(k), np.zeros((k, 3)), np.zeros((k, 3))) if k else None
+
+    def taken(self, q: Any, hand: Hand, contact: PointForce | None = None) -> tuple[Any, ...]:
+        check_kind("teleoperation loop", "hand", hand, Hand)
+        missing = self.buttons - np.size(hand.buttons)
+        if missing > 0:
+            hand = hand._replace(buttons=np.append(hand.buttons, np.zeros(missing)))
+        return q, hand, self._free if contact is None else contact
 
     def init(self, q: Float[Array, " n"]) -> TeleoperationState:
-        """At rest at q (n,) [rad, m], before the device has said anything; in JAX's precision, whatever q has. Traced."""
+        """Returns the state at rest at q (n,) [rad, m], before the device has said anything; in JAX's precision, whatever q
+        has. Traced."""
         q = as_configuration(self.robot, q).astype(float)
         none, no = jnp.zeros(3), jnp.zeros((), bool)
         asked = Asked(silence(), none, ~no, no)
         return TeleoperationState(
             self.mapping.init(),
             none,
-            self.channel.init(),
-            self.channel.init(),
-            self.there.init(asked, self.dt),
-            self.back.init(silence(), self.dt),
+            self._channel.init(),
+            self._channel.init(),
+            self._lines[0].init(asked, self.dt),
+            self._lines[1].init(silence(), self.dt),
             silence(),
             q,
             jnp.zeros_like(q),
@@ -176,19 +213,20 @@ class Teleoperation:
     def step(
         self, state: TeleoperationState, q: Float[Array, " n"], hand: Hand, contact: PointForce | None = None
     ) -> tuple[TeleoperationState, TeleoperationCommand]:
-        """What to do in the next `dt` [s] at q (n,), for a hand and what touches the arm, one contact or several. Traced."""
+        """Returns the state and the command for the next `dt` [s] at q (n,), for a hand and what touches the arm, one contact
+        or several. Traced."""
         told, hand, position = _heard(state.position, hand, self.patience)
         mapped, end, asked, force, velocity = self._at_hand(state, hand, position, told)
-        there, asked = self.there.step(state.there, asked, self.dt)
+        there, asked = self._lines[0].step(state.there, asked, self.dt)
         q, contact, broken = _sound(self.robot, state.q, as_configuration(self.robot, q).astype(state.q.dtype), contact)
         held = asked.held | broken
         felt = self._felt(q, contact)
         arm, wanted, turn = self._at_arm(state, asked, felt, held)
         rate, target, apart, moved = kernel(self._resolved)(state.rate, state.target, q, wanted, turn, held)
-        share = self.channel.share(arm, felt, moved, self.dt)
+        share = self._channel.share(arm, felt, moved, self.dt)
         rate, moved = share * rate, share * moved
-        arm, packet = self.channel.reply(arm, felt, wanted, moved, self.dt)
-        back, packet = self.back.step(state.back, packet, self.dt)
+        arm, packet = self._channel.reply(arm, felt, wanted, moved, self.dt)
+        back, packet = self._lines[1].step(state.back, packet, self.dt)
         energy = state.energy + self.dt * (felt @ moved - force @ velocity)
         after = TeleoperationState(mapped, position, end, arm, there, back, packet, q, rate, target, asked.leads, energy)
         reason = jnp.where(broken & (told == Reason.SOLVED), Reason.INVALID, told)
@@ -203,26 +241,27 @@ class Teleoperation:
         well = told == Reason.SOLVED
         active = well & (hand.buttons[0] == 0.0)
         mapped, velocity = self.mapping.step(state.mapped, position, active, self.dt)
-        end, packet, force = self.channel.hand(state.hand, state.arrived, velocity, self.dt)
+        end, packet, force = self._channel.hand(state.hand, state.arrived, velocity, self.dt)
         turn = jnp.where(mapped.moves, bounded(hand.turn, self.mapping.turning), 0.0)
         felt = jnp.where(active, force, 0.0)  # a hand that does not move the arm would be moved for nothing
         return mapped, end, Asked(packet, turn, ~well, active), felt, velocity
 
     def _felt(self, q: Any, contact: PointForce | None) -> Any:
         """The force (3,) at the tip that stands for the contacts, in world axes."""
-        return jnp.zeros(3) if contact is None else self._world() @ reflect(self.robot, q, contact, self.felt)
+        return jnp.zeros(3) if contact is None else self._world() @ reflect(self.robot, q, contact, felt=self.felt)
 
     def _at_arm(self, state: TeleoperationState, asked: Asked, felt: Any, held: Any) -> tuple[End, Any, Any]:
-        """The velocity and the turn of the tip that are asked for, in world axes."""
+        """Returns the arm's end, and the velocity and the turn of the tip that are asked for, in world axes."""
         slow = getattr(self.mapping, "smoothing", 0.0), self.mapping.fastest
-        end, velocity = self.channel.arm(state.arm, asked.packet, felt, self.dt, *slow)
+        end, velocity = self._channel.arm(state.arm, asked.packet, felt, self.dt, *slow)
         dropped = held | (state.led & ~asked.leads)  # the clutch ends the way that is not made up for yet, too
-        let_go = self.channel.release(state.arm, asked.packet)
+        let_go = self._channel.release(state.arm, asked.packet)
         end = jax.tree_util.tree_map(lambda x, y: jnp.where(dropped, x, y), let_go, end)
         return end, jnp.where(dropped, 0.0, velocity), jnp.where(held, 0.0, asked.turn)
 
     def _resolved(self, before: Any, target: Any, q: Any, velocity: Any, turn: Any, held: Any) -> tuple[Any, ...]:
-        """The joints' rates, after those `before`, the target after them, the clearance, and the velocity that the tip gets."""
+        """Returns the joints' rates, after those `before`, the target after them, the clearance, and the velocity of the
+        tip."""
         dt, tip = self.dt, forward_kinematics(self.robot, q)
         target = _leashed(tip, target, self.leash)
         base = self._world().T
@@ -240,9 +279,10 @@ class Teleoperation:
         return rate, jnp.where(held, tip, moved), apart, self._world() @ (jacobian(self.robot, q)[:3] @ rate)
 
     def _clear(self, q: Any, u: Any, or_held: Any, rates: Any, box: Box) -> tuple[Any, Any]:
-        """The rates that keep the clearance, and the clearance. One who is held slows down, and gives way to nothing."""
+        """Returns the rates that keep the clearance, and the clearance. An arm that is held slows down, and gives way to
+        nothing."""
         rate = rates(u)
-        if self.margin is None:
+        if not self.collision:
             return or_held(rate), jnp.asarray(jnp.inf, q.dtype)
         apart, slope = jax.value_and_grad(functools.partial(clearance, self.robot, self.scene))(q)
         least = -self.approach * (apart - self.margin)
@@ -262,7 +302,7 @@ _ABLE = 0.01  # the share of a slope that has to lie in the null space for that 
 
 
 def _heard(last: Any, hand: Hand, patience: float) -> tuple[Any, Hand, Any]:
-    """The reason why a hand cannot be followed, the hand in numbers, and its position, the last good one where it has none."""
+    """Returns why a hand cannot be followed, the hand in numbers, and its position, the last good one where it has none."""
     dtype = last.dtype
     hand = Hand(*(jnp.asarray(x, dtype) for x in hand))
     sound = jnp.all(jnp.isfinite(hand.position)) & jnp.all(jnp.isfinite(hand.turn)) & jnp.all(jnp.isfinite(hand.buttons))
@@ -273,7 +313,7 @@ def _heard(last: Any, hand: Hand, patience: float) -> tuple[Any, Hand, Any]:
 
 
 def _sound(robot: Robot, last: Any, q: Any, contact: PointForce | None) -> tuple[Any, PointForce | None, Any]:
-    """q, or the last good one, and the contacts, or none; and whether any of it was no number, or a contact of no joint."""
+    """Returns q, or the last good one, the contacts, or none; and whether any was no number, or a contact of no joint."""
     broken = ~jnp.all(jnp.isfinite(q))
     if contact is not None:
         joint, point, force = contact = as_point_forces("teleoperation", contact)
@@ -286,7 +326,7 @@ def _sound(robot: Robot, last: Any, q: Any, contact: PointForce | None) -> tuple
 
 
 def _leashed(tip: Any, target: Any, leash: float) -> Any:
-    """The target (4, 4), no further from the tip than `leash`, in metres and in radians."""
+    """Returns the target (4, 4) no further from the tip than `leash`, in metres and in radians."""
     place = tip[:3, 3] + bounded(target[:3, 3] - tip[:3, 3], leash)
     turn = rotation_log(target[:3, :3] @ tip[:3, :3].T)
     rotation = rotation_exp(bounded(turn, leash)) @ tip[:3, :3]

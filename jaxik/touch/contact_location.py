@@ -48,10 +48,11 @@ def locate_contact(
     external: Float[Array, " n"],
     joint: int,
     axis: Any,
+    *,
     places: int = 33,
     noise: Any = 1e-3,
 ) -> Located:
-    """The contact on a link that explains the `external` torques (n,) [Nm, N] best. Traced.
+    """Finds the contact on a link that explains the `external` torques (n,) [Nm, N] best. Traced.
 
     The link moves with the first `joint` joints; `axis` (2, 3) [m] are the ends of its axis in the last of these joints' frame,
     of which `places` are tried. `noise` is what the torques are good to [Nm]. Raises `ValueError` for other shapes,

@@ -1,4 +1,4 @@
-"""What a force is to do: die away as a second-order system, whatever the arm has to do meanwhile.
+"""How a force is to die away: as a second-order system, whatever the arm has to do meanwhile.
 
     F'' + (2 d / T) F' + F / T^2 = 0,    of a spring F' = -c xdot:                                  (4.44), (4.46)
     xdot = ((2 d / T) F + 1 / T^2 int F) / c                                                        (4.47)
@@ -23,7 +23,6 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import Array
-from jaxik.checks.options import check_finite
 
 
 class LawState(NamedTuple):
@@ -37,41 +36,38 @@ class LawState(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class ForceLaw:
-    """The time constant T [s] and the damping d of the target dynamics, and of what is lost. Raises `ValueError` for what is
-    not above zero."""
+    """The law with the time constant T [s] and the damping d of the target dynamics, and the two numbers of what is lost."""
 
-    time_constant: float = 0.5
-    damping: float = 0.5
-    fade_time: float = 1.0
-    fade_distance: float = 0.05
-
-    def __post_init__(self) -> None:
-        check_finite("force law", 1e-9, **dataclasses.asdict(self))
+    time_constant: float
+    damping: float
+    fade_time: float
+    fade_distance: float
 
     @functools.lru_cache(maxsize=16)  # noqa: B019 - a law is a few numbers
     def sampled(self, dt: float) -> np.ndarray:
-        """What `dt` [s] makes of (F, int F): the exponential (2, 2) of the dynamics."""
+        """The exponential (2, 2) of the dynamics, by which `dt` [s] changes (F, int F)."""
         from scipy.linalg import expm
 
         rates = np.array([[-2.0 * self.damping / self.time_constant, -1.0 / self.time_constant**2], [1.0, 0.0]])
         return np.asarray(expm(dt * rates))
 
     def init(self, dtype: Any = float) -> LawState:
-        """Before any contact. Traced."""
+        """Returns the state before any contact. Traced."""
         return LawState(*(jnp.zeros((), dtype) for _ in LawState._fields))
 
     def active(self, state: LawState, force: Any) -> Any:
-        """How far the law is in force, 0 to 1, of a force less its threshold [N]. Traced."""
+        """Returns how far the law is in force, 0 to 1, for a force less its threshold [N]. Traced."""
         return jnp.where(force > 0.0, 1.0, state.active)
 
     def speed(self, state: LawState, force: Any, stiffness: Any, dt: float) -> Any:
-        """How fast the contact is to move along the force on the arm [m/s], of a force less its threshold [N]. Traced."""
+        """Returns the speed at which the contact is to move along the force on the arm [m/s], for a force less its threshold
+        [N]. Traced."""
         (kept, back), _ = self.sampled(dt).tolist()
         return (force - kept * force - back * state.integral) / (stiffness * dt)
 
     def step(self, state: LawState, force: Any, lost: Any, done: Any, moved: Any, dt: float) -> LawState:
-        """After a sample in which the contact, where it is not `lost`, moved by `moved` [m] along the force, and the share
-        `done` of what was asked was done. Traced."""
+        """Returns the state after a sample in which the contact, where it is not `lost`, moved by `moved` [m] along the force,
+        and the share `done` of what was asked was done. Traced."""
         _, (gained, kept) = self.sampled(dt).tolist()
         away = jnp.where(lost, jnp.maximum(state.away + moved, 0.0), 0.0)
         left = jnp.maximum(1.0 - away / self.fade_distance, 1e-9)

@@ -22,26 +22,30 @@ space is used up, and the input fades with it.
 
 from __future__ import annotations
 
-import dataclasses
+import functools
 from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import Array, as_shaped, positive
-from jaxik.checks.options import as_count, check_choices, check_finite, check_flag, check_kind, shown
+from jaxik.checks.arrays import Array, as_shaped
+from jaxik.checks.options import check_finite, shown
 from jaxik.costs import Cost, check_cost
 from jaxik.dynamics.point_force import PointForce, as_point_forces, point_jacobian, point_torque, trusted
-from jaxik.estimation.lowpass import Butterworth
+from jaxik.kinematics.forward import as_posture
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSITION, Task
 from jaxik.motions.nullspace import FLOOR, RateLimits, TaskAt, downhill, settles
 from jaxik.motions.path import TipMotion
-from jaxik.pytree import Pytree
-from jaxik.reasons import Reason, Reasoned
+from jaxik.options import Options, anything, choice, count, flag, instance, number, per_joint
+from jaxik.reasons import Reason
+from jaxik.results import Result
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
+from jaxik.spmd import Stepped
 from jaxik.touch.force_law import ForceLaw, LawState
+from jaxik.touch.lowpass import Butterworth
 from jaxik.touch.stiffness import StiffnessEstimator, StiffnessState
 
 Scheme = Literal["baseline", "rmrc", "rac", "feedback", "task", "joint", "multi"]
@@ -50,8 +54,8 @@ SUDDEN = 1.0  # [N] above the threshold: a force that begins with more was there
 USED_UP = 0.02  # of k_n + k_t: below it a space's share is not enough to be divided by
 
 
-class ReactionCommand(Pytree, Reasoned):
-    """What the joints are to do next: `rate` (n,) [rad/s, m/s] and the `acceleration` (n,) that leads there [rad/s2, m/s2];
+class ReactionCommand(Result):
+    """The command for the joints: `rate` (n,) [rad/s, m/s] and the `acceleration` (n,) that leads there [rad/s2, m/s2];
     with it the filtered `force` F [N], the `stiffness` [N/m] that was believed, the task's `error` (m,) [m, rad], and the
     reason: "solved", or "invalid" where a number was none and the arm is held still."""
 
@@ -61,6 +65,9 @@ class ReactionCommand(Pytree, Reasoned):
     stiffness: Float[Array, "*b"]
     error: Float[Array, "*b m"]
     reason: Int[Array, "*b"]
+
+    HELP = {Reason.INVALID: "a number of the sample is none, or a joint is not the robot's, and the arm is held still"}
+    ROW = "sample"
 
 
 class ReactionState(NamedTuple):
@@ -82,82 +89,82 @@ class ReactionState(NamedTuple):
     rate: Float[Array, " n"]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Reaction:
-    """How an arm reacts, by table 4.1 unless told otherwise.
+class Reaction(Options, Stepped, who="reaction"):
+    """How an arm reacts, by table 4.1 unless told otherwise, within the robot's limits; for `ControlLoop`, and traced.
 
-    The `task` and its loop's `gain` K [1/s]; secondary objectives down `alpha` times the gradient of `cost`; `weights` W
-    (n,); `scale` zeta of the elastic potential; `threshold` F_th and `relaxation` F_min [N]; the force `law`; the null
-    space's greatest `rate` and `acceleration`; `damping` [1/s] of null-space rates (rac); `stiffness` [N/m], a number or an
-    estimator; `filter` of the forces, at this `dt` whatever its own, or None; `contacts`, how many at once. Limits are the
-    robot's; `most` [rad/s2, m/s2] bounds the accelerations of the whole command.
-
-    Raises `ValueError` for words and numbers out of range.
+    loop = ControlLoop(reaction)
+    state = loop.start(q)
+    state, command = loop.step(state, q, qdot, motion, contact)
     """
 
-    robot: Robot
-    scheme: str = "feedback"
-    task: Task = POSITION
-    cost: Cost | None = None
-    alpha: float = 1.0
-    dt: float = 1e-3
-    gain: float | None = None
-    weights: tuple[float, ...] | None = None
-    scale: float = 1.0
-    threshold: float = 1.3
-    relaxation: float = 5.0
-    law: ForceLaw = dataclasses.field(default_factory=ForceLaw)
-    rate: float = 5.0
-    acceleration: float = 20.0
-    damping: float = 7.0
-    stiffness: float | StiffnessEstimator = 60.0
-    filter: Butterworth | None = dataclasses.field(default_factory=Butterworth)
-    contacts: int = 1
-    limits: bool = True
-    most: float | tuple[float, ...] | None = None
-    floor: float = FLOOR
+    robot: Robot = instance(kind=Robot, words="the arm", kw_only=False)
+    scheme: Scheme = choice(default="feedback", kinds=Scheme, words="what gives way, and how")
+    task: Task = instance(default=POSITION, kind=Task, words="what is asked of the tip")
+    cost: Cost | None = anything(default=None, words="secondary objective, down whose gradient the null space goes")
+    alpha: float = number(default=1.0, least=0.0, words="how far down it goes")
+    dt: float = number(default=1e-3, unit="s", least=1e-9, words="between samples")
+    gain: float | None = number(
+        default=None, unit="1/s", least=0.0, optional=True, words="K of the task's loop, below 2 / dt; None is table 4.1's"
+    )
+    weights: tuple[float, ...] | None = per_joint(words="W of the joints", lone=False)
+    scale: float = number(default=1.0, least=0.0, words="zeta of the elastic potential (rmrc, rac)")
+    threshold: float = number(default=1.3, unit="N", least=0.0, words="F_th")
+    relaxation: float = number(default=5.0, unit="N", least=0.0, words="F_min, above which the task gives way (multi)")
+    time_constant: float = number(default=0.5, unit="s", least=1e-9, words="T of the force's target dynamics")
+    damping_ratio: float = number(default=0.5, least=1e-9, words="d of these")
+    fade_time: float = number(default=1.0, unit="s", least=1e-9, words="in which a lost contact is forgotten where it was lost")
+    fade_distance: float = number(default=0.05, unit="m", least=1e-9, words="from there at which it is forgotten at once")
+    rate: float = number(default=5.0, unit="rad/s, m/s", least=0.0, words="the null space's greatest")
+    acceleration: float = number(default=20.0, unit="rad/s2, m/s2", least=0.0, words="the null space's greatest (rac)")
+    damping: float = number(default=7.0, unit="1/s", least=0.0, words="of null-space rates (rac)")
+    stiffness: float | StiffnessEstimator = anything(default=60.0, unit="N/m", words="of what is touched, or an estimator")
+    cutoff: float | None = number(
+        default=10.0, unit="Hz", above=0.0, optional=True, words="of the forces' Butterworth low pass; None filters nothing"
+    )
+    order: int = count(default=8, words="of that low pass")
+    contacts: int = count(default=1, words="how many at once")
+    limits: bool = flag(default=True, words="whether the robot's limits are kept")
+    most: float | tuple[float, ...] | None = per_joint(unit="rad/s2, m/s2", words="bound of the whole command's accelerations")
+    floor: float = number(default=FLOOR, least=0.0, words="regularisation at singularities, as `resolve` has it")
 
-    def __post_init__(self) -> None:
-        who = "reaction"
-        for name, kind in (("robot", Robot), ("task", Task), ("law", ForceLaw)):
-            check_kind(who, name, getattr(self, name), kind)
-        check_choices(who, scheme=(self.scheme, Scheme))
-        names = ("alpha", "scale", "threshold", "relaxation", "rate", "acceleration", "damping", "floor")
-        check_finite(who, 0.0, **{name: getattr(self, name) for name in names})
-        check_finite(who, 1e-9, dt=self.dt)
+    def check(self) -> None:
         if not isinstance(self.stiffness, StiffnessEstimator):
-            check_finite(who, 1e-9, stiffness=self.stiffness)
-        check_kind(who, "filter", self.filter, Butterworth, optional=True)
-        if self.filter is not None and self.filter.dt != self.dt:
-            object.__setattr__(self, "filter", dataclasses.replace(self.filter, dt=self.dt))
-        as_count(f"{who}: contacts", self.contacts)
-        check_flag(who, limits=self.limits)
-        if self.gain is not None:
-            check_finite(who, 0.0, gain=self.gain)
-            if not settles(self.gain, self.dt):
-                raise ValueError(f"{who}: gain {self.gain:g} at dt {self.dt:g} s; allowed: below 2 / dt [1/s]")
+            check_finite(self.who, 1e-9, stiffness=self.stiffness)
+        if self.gain is not None and not settles(self.gain, self.dt):
+            raise ValueError(f"reaction: gain {self.gain:g} at dt {self.dt:g} s; allowed: below 2 / dt [1/s]")
         if self.cost is not None:
-            check_cost(who, self.cost, self.robot.num_joints)
-        object.__setattr__(self, "weights", positive(f"{who}: weights", self.weights))
-        object.__setattr__(self, "most", positive(f"{who}: most [rad/s2, m/s2]", self.most, True))
+            check_cost(self.who, self.cost, self.robot.num_joints)
         for name in ("weights", "most"):
             given = getattr(self, name)
             if isinstance(given, tuple) and len(given) != self.robot.num_joints:
-                raise ValueError(
-                    f"{who}: {name} has {len(given)} numbers; {self.robot.name} has {self.robot.num_joints} joints"
-                )
+                told = f"{name} has {len(given)} numbers; {self.robot.name} has {self.robot.num_joints} joints"
+                raise ValueError(f"reaction: {told}")
+        _ = self._filter  # which may refuse
+
+    @functools.cached_property
+    def _filter(self) -> Butterworth | None:
+        return None if self.cutoff is None else Butterworth(self.order, self.cutoff, self.dt)
+
+    @functools.cached_property
+    def _law(self) -> ForceLaw:
+        return ForceLaw(self.time_constant, self.damping_ratio, self.fade_time, self.fade_distance)
 
     @property
     def pull(self) -> float:
         """K [1/s]: by table 4.1 0.5 / dt for inputs in joint space, 0.005 / dt for all others."""
         return (0.5 if self.scheme == "joint" else 0.005) / self.dt if self.gain is None else self.gain
 
+    def begun(self, q: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        q, k = as_posture("reaction loop", self.robot, q), self.contacts
+        contact = PointForce(np.zeros(k), np.zeros((k, 3)), np.zeros((k, 3)))
+        return (q,), (q, np.zeros_like(q), TipMotion(np.eye(4), np.zeros(6), np.zeros(6)), contact)
+
     def init(self, q: Any) -> ReactionState:
-        """At rest at q (n,), nothing touched. Traced."""
+        """Returns the state at rest at q (n,), nothing touched. Traced."""
         q = as_configuration(self.robot, q)
         zeros = lambda *shape: jnp.zeros(shape, q.dtype)
-        k, law = self.contacts, self.law.init(q.dtype)
-        of = lambda x: zeros(0, 2, *x.shape) if self.filter is None else self.filter.init(x)
+        k, law = self.contacts, self._law.init(q.dtype)
+        of = lambda x: zeros(0, 2, *x.shape) if self._filter is None else self._filter.init(x)
         return ReactionState(
             joint=zeros(k),
             point=zeros(k, 3),
@@ -175,8 +182,9 @@ class Reaction:
     def step(
         self, state: ReactionState, q: Any, qdot: Any, motion: TipMotion, contact: PointForce
     ) -> tuple[ReactionState, ReactionCommand]:
-        """The next command, of joint values and rates (n,), what is asked of the tip, and what is felt: a contact, or as many
-        as `contacts` stacked; where nothing touches its force is 0, and its point does not matter. Traced.
+        """Returns the state and the command after a sample: joint values and rates (n,), what is asked of the tip, and what is
+        felt, a contact, or as many as `contacts` stacked. Where nothing touches its force is 0, and its point does not matter.
+        Traced.
 
         Where a number is none, a force that has no point among them, or a joint that the robot does not have, the arm is slowed
         down as fast as `most` lets it and held, with a reason; what it knew stays, and it goes on from there.
@@ -222,7 +230,7 @@ class Reaction:
         return after, ReactionCommand(rate, acceleration, felt, stiffness, at.error, reason)
 
     def _pressed(self, state: ReactionState, q: Any, qdot: Any, force: Any) -> ReactionState:
-        """The state with what a sample tells of the stiffness. Depth and force both count from where the force, as yet
+        """Returns the state with what a sample tells of the stiffness. Depth and force both count from where the force, as yet
         unfiltered, passed its threshold, so that their slope is the stiffness from the first touch on: a law that believes in
         something much softer has left it before a filter settles."""
         if not isinstance(self.stiffness, StiffnessEstimator):
@@ -238,7 +246,7 @@ class Reaction:
         anew = jnp.where(touching, ~touched & sudden, touched & deep)
         depth = jnp.where((since > LOST) | (anew & ~touching), 0.0, depth)
         now = jnp.stack([jnp.where(touching, depth, jnp.maximum(depth, 0.0)), above])
-        before = state.depth_filter if self.filter is None else jnp.where(anew, self.filter.init(now), state.depth_filter)
+        before = state.depth_filter if self._filter is None else jnp.where(anew, self._filter.init(now), state.depth_filter)
         filter, (x, f) = self._filtered(before, now)
         known = self.stiffness.step(state.stiffness, x, f, ~anew)
         return state._replace(depth=depth, depth_filter=filter, since=since, stiffness=known)
@@ -246,7 +254,7 @@ class Reaction:
     def _rates(
         self, at: TaskAt, a: Any, state: ReactionState, felt: Any, stiffness: Any, moved: Any
     ) -> tuple[Any, tuple[LawState, LawState]]:
-        """Joint rates, and the laws after them."""
+        """Returns joint rates, and the laws after them."""
         free = at.resolved(at.velocity(self.pull), downhill(self.robot, at.q, self.cost, self.alpha, self.weights)).rate
         away = at.inverse * a
         null = at.resolved(jnp.zeros(len(at.rows)), away).rate
@@ -255,12 +263,12 @@ class Reaction:
         def gives_way(law: LawState, force: Any, along: Any, helping: bool = False) -> tuple[Any, LawState]:
             """`total`, and more `along` (n,) as the law asks, and the law after it; `helping`, or below its threshold, only
             where the contact does not move so yet."""
-            lacks = self.law.speed(law, force, stiffness, self.dt) - a @ total
+            lacks = self._law.speed(law, force, stiffness, self.dt) - a @ total
             lacks = jnp.where((force > 0.0) & (not helping), lacks, jnp.maximum(lacks, 0.0))
-            asked = self.law.active(law, force) * lacks
+            asked = self._law.active(law, force) * lacks
             more = _bounded(asked * _share(along, a, a @ away), self.rate)
             done = jnp.where(asked == 0.0, 1.0, jnp.clip(safe_divide(a @ more, asked), 0.0, 1.0))
-            return total + more, self.law.step(law, force, above <= 0.0, done, moved, self.dt)
+            return total + more, self._law.step(law, force, above <= 0.0, done, moved, self.dt)
 
         if self.scheme == "rmrc":
             total = free + _bounded(self.scale * jnp.maximum(above, 0.0) * null, self.rate)
@@ -272,7 +280,7 @@ class Reaction:
         return self._inside(at, at.rows @ total, total, box), (law, task_law)
 
     def _accelerations(self, at: TaskAt, rate: Any, a: Any, above: Any) -> Any:
-        """Joint accelerations of the scheme "rac", whose loop is damped critically."""
+        """Returns joint accelerations of the scheme "rac", whose loop is damped critically."""
         slope = downhill(self.robot, at.q, self.cost, self.alpha, self.weights)
         asked = at.acceleration(rate, self.pull)
         free = at.resolved(asked, slope - self.damping * rate).rate
@@ -287,7 +295,7 @@ class Reaction:
         return at.resolved(wanted, total, box).rate if bounded else total
 
     def _held(self, state: ReactionState, like: ReactionCommand) -> ReactionCommand:
-        """Slowed down as fast as may be."""
+        """Returns a command that slows down as fast as may be."""
         most = self.dt * jnp.asarray(self._limits.acceleration, state.rate.dtype)
         slower = jnp.clip(state.rate, -most, most)
         unknown = jnp.full_like(like.error, jnp.nan)
@@ -296,7 +304,7 @@ class Reaction:
         return ReactionCommand(*rates, jnp.full_like(like.force, jnp.nan), state.stiffness.stiffness, unknown, reason)
 
     def _filtered(self, state: Any, x: Any) -> tuple[Any, Any]:
-        return (state, x) if self.filter is None else self.filter.step(state, x)
+        return (state, x) if self._filter is None else self._filter.step(state, x)
 
     @property
     def _limits(self) -> RateLimits:
@@ -304,9 +312,9 @@ class Reaction:
 
     @property
     def _estimator(self) -> StiffnessEstimator:
-        """Where the stiffness is known, one that stays with it."""
+        """The estimator; where the stiffness is known, one that stays with it."""
         known = self.stiffness
-        return known if isinstance(known, StiffnessEstimator) else StiffnessEstimator(known, known, known)
+        return known if isinstance(known, StiffnessEstimator) else StiffnessEstimator(start=known, lowest=known, highest=known)
 
 
 def _bounded(x: Any, most: float) -> Any:

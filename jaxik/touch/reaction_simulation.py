@@ -6,6 +6,7 @@ sensor shows to the reaction a sample later.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -16,28 +17,31 @@ from jaxtyping import Float, Int
 from jaxik.checks.arrays import Array, as_numbers
 from jaxik.checks.options import as_count, check_kind
 from jaxik.dynamics.point_force import PointForce, check_joint, material_point, point_jacobian
+from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.motions.path import Path, check_path
-from jaxik.pytree import Pytree
-from jaxik.reasons import Reason, Reasoned
+from jaxik.reasons import Reason
+from jaxik.results import Result
 from jaxik.spatial.algebra import safe_sqrt
 from jaxik.spmd import kernel
-from jaxik.touch.reaction import Reaction
+from jaxik.touch.reaction import Reaction, ReactionCommand
 from jaxik.touch.sensors import TouchSensor
 from jaxik.touch.spring_contact import SpringContact
 
 
-class Reacted(Pytree, Reasoned):
-    """What happened, in time (t, ...): `q` and `rate` (t, n), the true `force` on the arm [N], the one that was `felt`, the
-    `stiffness` [N/m] that was believed, the task's `error` (t, m) [m, rad], and each sample's reason."""
+class ReactionResult(Result):
+    """What happened, a row a sample (t, ...): the `motion`, its time, q and velocity; the true `force` on the arm [N], the one
+    that was `felt`, the `stiffness` [N/m] that was believed, the task's `error` (t, m) [m, rad], and each sample's reason."""
 
-    q: Float[Array, "*t n"]
-    rate: Float[Array, "*t n"]
+    motion: Motion
     force: Float[Array, "*t"]
     felt: Float[Array, "*t"]
     stiffness: Float[Array, "*t"]
     error: Float[Array, "*t m"]
     reason: Int[Array, "*t"]
+
+    HELP = ReactionCommand.HELP
+    ROW = ReactionCommand.ROW
 
 
 class Encounter(NamedTuple):
@@ -55,11 +59,12 @@ def simulate_reaction(
     duration: Any,
     q: Any,
     encounters: Encounter | tuple[Encounter, ...],
+    *,
     steps: int,
     sensor: TouchSensor | None = None,
     noise: Any = None,
-) -> Reacted:
-    """What becomes of an arm that follows `path`, timed over `duration` [s], from q (n,) at rest, for `steps` samples. Traced.
+) -> ReactionResult:
+    """Simulates an arm that follows `path`, timed over `duration` [s], from q (n,) at rest, for `steps` samples. Traced.
 
     One encounter for each of the reaction's contacts. Without a `sensor` each true force is shown; `noise` (steps,) is the
     sensor's, of unit variance. While the arm is held still, so is the path's clock. Raises `ValueError` for another number of
@@ -93,15 +98,18 @@ def _simulation(reaction: Reaction, sensor: TouchSensor | None) -> Any:
         shown, felt = (shown, true) if sensor is None else sensor.step(shown, robot, q, true, noise)
         known, command = reaction.step(known, q, rate, path.at(time, duration), felt)
         force = safe_sqrt(jnp.sum(true.force**2))
-        sample = Reacted(q, command.rate, force, command.force, command.stiffness, command.error, command.reason)
+        seen = Motion(q, command.rate)
+        sample = ReactionResult(seen, force, command.force, command.stiffness, command.error, command.reason)
         time = time + jnp.where(command.reason == int(Reason.SOLVED), dt, 0.0)
         return (q + dt * command.rate, command.rate, time, known, shown), sample
 
     @kernel
-    def run(q: Any, path: Path, duration: Any, met: tuple[Encounter, ...], noise: Any) -> Reacted:
+    def run(q: Any, path: Path, duration: Any, met: tuple[Encounter, ...], noise: Any) -> ReactionResult:
         shown = () if sensor is None else sensor.init(reaction.contacts, q.dtype)
         start = (q, jnp.zeros_like(q), jnp.zeros((), q.dtype), reaction.init(q), shown)
-        return jax.lax.scan(functools.partial(turn, path, duration, met), start, noise)[1]
+        found = jax.lax.scan(functools.partial(turn, path, duration, met), start, noise)[1]
+        time = dt * jnp.arange(len(noise), dtype=q.dtype)
+        return dataclasses.replace(found, motion=dataclasses.replace(found.motion, time=time))
 
     return run
 

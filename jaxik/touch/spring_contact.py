@@ -52,33 +52,32 @@ class SpringContact(Constant):
         super().__post_init__()
 
     def depth(self, point: Any) -> jax.Array:
-        """How deep a point (3,) [m] is behind the wall [m]; 0 in front of it. Traced."""
+        """Returns how deep a point (3,) [m] is behind the wall [m]; 0 in front of it. Traced."""
         point = as_shaped("spring contact: the point that meets it", point, (3,))
         return jnp.maximum(jnp.dot(jnp.asarray(self.point) - point, jnp.asarray(self.normal)), 0.0)
 
     def force(self, point: Any, velocity: Any = 0.0) -> jax.Array:
-        """What it does to a point (3,) [m] that moves with `velocity` (3,) [m/s]: (3,) [N]. Traced."""
+        """Returns the force (3,) [N] on a point (3,) [m] that moves with `velocity` (3,) [m/s]. Traced."""
         normal, depth = jnp.asarray(self.normal), self.depth(point)
         closing = -jnp.sum(velocity * normal)
         return self.stiffness * _power(depth, self.exponent) * jnp.maximum(1.0 + self.loss * closing, 0.0) * normal
 
     def energy(self, point: Any) -> jax.Array:
-        """What the springs hold, `c x^(a+1) / (a+1)` [J]: (4.33). Traced."""
+        """Returns the energy of the springs, `c x^(a+1) / (a+1)` [J]: (4.33). Traced."""
         return self.stiffness * self.depth(point) * _power(self.depth(point), self.exponent) / (self.exponent + 1.0)
+
+    def cost(self, robot: Robot, joint: Any, point: Any) -> Callable[[Any], jax.Array]:
+        """Returns the energy [J] of the obstacle that a link's material point leans on, as a cost of q. Traced.
+
+        Its gradient is `-J_p' F` (4.34): `follow` goes down it where it touches, `predict` before. `joint` and `point` (3,)
+        [m] are those of `dynamics.material_point`.
+        """
+        return lambda q: self.energy(material_point(robot, q, joint, point))
 
 
 def _power(x: Any, exponent: float) -> Any:
-    """x^a, with a derivative at 0."""
+    """Returns x^a, with a derivative at 0."""
     if exponent == 1.0:
         return x
     inside = x > 0.0
     return jnp.where(inside, jnp.where(inside, x, 1.0) ** exponent, 0.0)
-
-
-def contact_cost(robot: Robot, obstacle: SpringContact, joint: Any, point: Any) -> Callable[[Any], jax.Array]:
-    """The energy [J] of an obstacle that a link's material point leans on, as a cost of q. Traced.
-
-    Its gradient is `-J_p' F` (4.34): `follow` goes down it where it touches, `predict` before. `joint` and `point` (3,) [m] are
-    those of `dynamics.material_point`.
-    """
-    return lambda q: obstacle.energy(material_point(robot, q, joint, point))

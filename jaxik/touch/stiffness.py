@@ -8,14 +8,13 @@ least penetration depth of table 4.1, which has the idea and not the formula.
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Float
 
 from jaxik.checks.arrays import Array
-from jaxik.checks.options import check_finite
+from jaxik.options import Options, number
 
 
 class StiffnessState(NamedTuple):
@@ -27,34 +26,31 @@ class StiffnessState(NamedTuple):
     force: Float[Array, ""]
 
 
-@dataclasses.dataclass(frozen=True)
-class StiffnessEstimator:
-    """Begins with `start` [N/m] and stays between `lowest` and `highest`; a step every `travel` [m] of depth, in which old
-    ones are forgotten by the factor `forgetting`. `variance` is P at the start, in steps' worth of doubt: the larger, the
-    less the start counts. Raises `ValueError` for numbers out of range."""
+class StiffnessEstimator(Options, who="stiffness estimator"):
+    """Estimates the stiffness [N/m] of what is touched."""
 
-    start: float = 60.0
-    lowest: float = 10.0
-    highest: float = 1e5
-    travel: float = 5e-4
-    forgetting: float = 0.95
-    variance: float = 10.0
+    start: float = number(default=60.0, unit="N/m", above=0.0, words="the first estimate")
+    lowest: float = number(default=10.0, unit="N/m", above=0.0, words="bound of the estimate")
+    highest: float = number(default=1e5, unit="N/m", words="bound of the estimate")
+    travel: float = number(default=5e-4, unit="m", above=0.0, words="change of depth after which a step is taken")
+    forgetting: float = number(default=0.95, above=0.0, most=1.0, words="factor by which a step forgets those before")
+    variance: float = number(
+        default=10.0, least=0.0, words="P at the start, in steps' worth of doubt: the larger, the less the start counts"
+    )
 
-    def __post_init__(self) -> None:
-        check_finite("stiffness estimator", 0.0, **dataclasses.asdict(self))
-        if not (0.0 < self.lowest <= self.start <= self.highest and self.travel > 0.0 and 0.0 < self.forgetting <= 1.0):
-            told = f"start {self.start:g} in {self.lowest:g} to {self.highest:g}, travel {self.travel:g}, "
-            allowed = "0 < lowest <= start <= highest, travel > 0, 0 < forgetting <= 1"
-            raise ValueError(f"stiffness estimator: {told}forgetting {self.forgetting:g}; allowed: {allowed}")
+    def check(self) -> None:
+        if not self.lowest <= self.start <= self.highest:
+            told = f"start {self.start:g} in {self.lowest:g} to {self.highest:g}"
+            raise ValueError(f"stiffness estimator: {told}; allowed: lowest <= start <= highest")
 
     def init(self, dtype: Any = float) -> StiffnessState:
-        """Before anything was touched. Traced."""
+        """Returns the state before anything was touched. Traced."""
         numbers = self.start, self.variance / self.travel**2, 0.0, 0.0
         return StiffnessState(*(jnp.asarray(x, dtype) for x in numbers))
 
     def step(self, state: StiffnessState, depth: Any, force: Any, touching: Any) -> StiffnessState:
-        """After a sample of depth [m] and force [N], both from anywhere and filtered alike. Traced. Where not `touching` it
-        begins anew there, with what it knows."""
+        """Returns the state after a sample of depth [m] and force [N], both from anywhere and filtered alike. Traced. Where not
+        `touching` it begins anew there, with what it knows."""
         change, rise = depth - state.depth, force - state.force
         moved = touching & (jnp.abs(change) >= self.travel)
         gain = state.variance * change / (self.forgetting + state.variance * change**2)

@@ -25,8 +25,8 @@ from jaxik.kinematics.forward import manipulability
 from jaxik.planning import save_trajectory
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.reasons import Reason
-from jaxik.spmd import HostKernel
-from jaxik.teleoperation import Hand, PositionControl, Teleoperation, TeleoperationLoop, Watchdog
+from jaxik.spmd import ControlLoop, HostKernel
+from jaxik.teleoperation import Hand, PositionControl, Teleoperation, Watchdog
 from jaxik.view.hands import PERIOD, PageHand, PagePad
 from jaxik.view.palette import CARRIED, PATH, boxed, rgb
 from jaxik.view.solids import frames
@@ -97,7 +97,7 @@ class Steering:
     # ----------------------------------------------------------------------------------------------------------------
 
     @functools.cached_property
-    def loop(self) -> TeleoperationLoop:
+    def loop(self) -> ControlLoop:
         page, robot = self.page, self.robot
         scene = page.scene if page.clear.value else None
         blind = bool(page.blind)
@@ -106,10 +106,10 @@ class Steering:
             total = costs.joint_limit_cost(robot, q) + 0.05 * costs.comfort_cost(robot, q)
             return total if blind else total + costs.collision_cost(clearance(robot, scene, q), activation=SHELL)
 
-        mapping, margin = PositionControl(smoothing=0.08, fastest=0.5, turning=1.5), None if blind else MARGIN
-        quick: dict[str, Any] = {"dt": PERIOD, "gain": 10.0, "acceleration": 10.0, "leash": 0.1}
-        steers = Teleoperation(robot, mapping, task=page.task, cost=cost, scene=scene, margin=margin, **quick)
-        return TeleoperationLoop(steers, contacts=1)
+        mapping = PositionControl(smoothing=0.08, fastest=0.5, turning=1.5)
+        quick: dict[str, Any] = {"dt": PERIOD, "gain": 10.0, "acceleration": 10.0, "leash": 0.1, "contacts": 1}
+        kept: dict[str, Any] = {"scene": scene, "margin": MARGIN, "collision": not blind}
+        return ControlLoop(Teleoperation(robot, mapping=mapping, task=page.task, cost=cost, **kept, **quick))
 
     def _run(self) -> None:
         known, looked, since = self.page.q, 0, [time.monotonic()] * 30

@@ -36,7 +36,6 @@ CALLS = {  # name -> (function of arrays, arrays)
     "collision.object_clearances": (lambda q: collision.object_clearances(ARM, SCENE, q), Q),
     "touch.locate_contact": (lambda q: touch.locate_contact(ARM, q, 0.1 * q, 6, [[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]]), Q),
     "teleoperation.reflect": (lambda q: teleoperation.reflect(ARM, q, TOUCH), Q),
-    "teleoperation.reflect_cost": (lambda q: teleoperation.reflect_cost(ARM, q, HOLD), Q),
     "ik.descend_ik": (lambda q: ik.descend_ik(ARM, POSE, q), Q),
     "ik.implicit_ik": (lambda pose, q: ik.implicit_ik(UR, pose, q), POSE, Q[:6]),
     "motions.resolve": (lambda q: motions.resolve(ARM, q, MOTION, cost=HOLD), Q),
@@ -72,8 +71,6 @@ METHODS = {
 # what is no function of a moment: descents, searches, equations of optimality, simulations; and what makes a cost or a robot
 LONGER = {
     "homotopy.all_postures",
-    "touch.contact_cost",
-    "estimation.over_log",
     "touch.simulate_reaction",
     "teleoperation.simulate_teleoperation",
     "motions.predict",

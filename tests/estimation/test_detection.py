@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxik.estimation import Detector, detect, fit_detector, judge_alarms
+from jaxik.estimation import Detector, fit_detector, judge_alarms
 
 RATES = np.ones((1, 100, 2))
 TWO = Detector(np.ones(2), np.zeros(2), np.zeros(2), 0)
@@ -14,7 +14,7 @@ def test_thresholds_are_the_largest_errors_or_a_quantile():
     rates = np.broadcast_to(RATES, errors.shape)
     np.testing.assert_allclose(fit_detector(errors, rates, factor=1.5).threshold, 1.5 * np.abs(errors).max(axis=(0, 1)))
     lower = fit_detector(errors, rates, quantile=0.9, factor=1.0)
-    assert detect(lower, errors, rates).mean() == pytest.approx(0.1, abs=0.01)
+    assert lower.detect(errors, rates).mean() == pytest.approx(0.1, abs=0.01)
 
 
 def test_at_rest_the_band_is_added_and_what_is_seen_there_sets_no_threshold():
@@ -22,8 +22,8 @@ def test_at_rest_the_band_is_added_and_what_is_seen_there_sets_no_threshold():
     errors[40:60], rates[40:50] = 4.0, 0.0  # the filter remembers for ten samples
     found = fit_detector(errors, rates, band=[5.0, 3.0], rest=0.1, memory=10, factor=2.0)
     np.testing.assert_allclose(found.threshold, 1.0)
-    assert not detect(found, errors, rates)[:, 0].any()
-    np.testing.assert_array_equal(np.flatnonzero(detect(found, errors + 0.1, rates)[:, 1]), np.arange(40, 60))
+    assert not found.detect(errors, rates)[:, 0].any()
+    np.testing.assert_array_equal(np.flatnonzero(found.detect(errors + 0.1, rates)[:, 1]), np.arange(40, 60))
 
 
 def test_a_loop_is_what_a_log_is():
@@ -34,7 +34,7 @@ def test_a_loop_is_what_a_log_is():
     for each, rate in zip(external, rates, strict=True):
         since, alarm = detector.step(since, each, rate)
         alarms.append(alarm)
-    np.testing.assert_array_equal(detect(detector, external, rates), alarms)
+    np.testing.assert_array_equal(detector.detect(external, rates), alarms)
 
 
 def test_alarms_are_judged():
@@ -56,10 +56,9 @@ def test_alarms_are_judged():
         (lambda: fit_detector(np.ones((5, 2)), np.ones((5, 2)), band=[1.0, 2.0, 3.0]), "band is .* each of 2 joints"),
         (lambda: fit_detector(np.ones((5, 2)), np.ones((5, 2)), rest=np.nan), "rest is nan; allowed: one number"),
         (lambda: fit_detector(np.full((5, 2), np.nan), np.ones((5, 2))), "external holds nan"),
-        (lambda: fit_detector(np.ones((5, 2)), np.full((5, 2), np.nan)), "fit_detector: qdot holds nan"),
-        (lambda: detect(TWO, np.ones((5, 2)), np.full((5, 2), np.nan)), "detect: qdot holds nan"),  # in a loop it is at rest
-        (lambda: detect(TWO, np.ones((5, 3)), np.ones((5, 3))), "detect: external of 3 joints, and a detector of 2"),
-        (lambda: detect(None, np.ones((5, 3)), np.ones((5, 3))), "detect: detector is None; write a jaxik.estimation.Detector"),
+        (lambda: fit_detector(np.ones((5, 2)), np.full((5, 2), np.nan)), "fit_detector: velocity holds nan"),
+        (lambda: TWO.detect(np.ones((5, 2)), np.full((5, 2), np.nan)), "detect: velocity holds nan"),  # in a loop it is at rest
+        (lambda: TWO.detect(np.ones((5, 3)), np.ones((5, 3))), "detect: external of 3 joints, and a detector of 2"),
         (lambda: judge_alarms(np.zeros(3), np.zeros(4), 0.1), r"alarms of shape \(3,\)"),
         (lambda: judge_alarms(np.zeros(3), np.zeros(3), 0.0), "judge_alarms: dt is 0.0; it is"),
         (lambda: judge_alarms(np.zeros(3), np.zeros(3), 0.1, after=np.inf), "judge_alarms: after is inf"),

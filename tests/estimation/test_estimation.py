@@ -9,8 +9,10 @@ from papers.kalman import RecursiveEstimator
 
 import jaxik
 from jaxik.dynamics import Drive, Friction, inverse_dynamics, motor_current
-from jaxik.estimation import EstimationLoop, MomentumObserver, Sample, TorqueEstimator, TorqueFilter, estimate
+from jaxik.estimation import MomentumObserver, TorqueEstimator, TorqueFilter, estimate
+from jaxik.kinematics import Motion
 from jaxik.kinematics.robot import Body
+from jaxik.spmd import ControlLoop
 
 DT, STEPS = 1e-3, 400
 PUSH = np.array([3.0, -2.0])
@@ -48,7 +50,8 @@ def log():
         torque = inverse_dynamics(ARM, q, qdot, qddot) - PUSH
         return motor_current(ARM, torque, qdot), (torque - ARM.armature * qddot) / 1e4
 
-    return Sample(q, qdot, qddot, *map(np.asarray, shown(q, qdot, qddot)))
+    current, torsion = map(np.asarray, shown(q, qdot, qddot))
+    return Motion(q, qdot, qddot, current=current, torsion=torsion)
 
 
 def test_the_filter_finds_a_push(log):
@@ -62,12 +65,12 @@ def test_the_observer_finds_a_push(log):
     """Likewise, without accelerations; between samples it integrates by the trapezoidal rule."""
     gain = np.array([30.0, 60.0])
     expected = PUSH * (1.0 - (1.0 - gain * DT) ** np.arange(STEPS)[:, None])
-    found = estimate(MomentumObserver(ARM, gain, DT), Sample(log.q, log.qdot, current=log.current))
+    found = estimate(MomentumObserver(ARM, gain, DT), Motion(log.q, log.velocity, current=log.current))
     np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), atol=1e-4)
 
 
 def test_the_full_recursion_becomes_the_closed_form(log):
-    one = Sample(*(x[0] for x in log))
+    one = log[0]
     closed = TorqueEstimator(ARM, FILTER)
     steady, full = estimate(closed, one), estimate(RecursiveEstimator(closed), one)
     np.testing.assert_allclose(full[-1], PUSH, rtol=1e-6)
@@ -76,10 +79,10 @@ def test_the_full_recursion_becomes_the_closed_form(log):
 
 def test_a_sensor_that_is_not_there_needs_no_sample(log):
     """Torsions of noise without bound count for nothing, and may be left out; so may currents."""
-    one = Sample(*(x[0] for x in log))
+    one = log[0]
     for name, given in (("torsion", dict(torsion_noise=np.inf)), ("current", dict(current_noise=np.inf, torsion_noise=1e-8))):
         estimator = TorqueEstimator(ARM, TorqueFilter.of_drives(ARM, **(dict(process=0.01, current_noise=0.1) | given)))
-        np.testing.assert_array_equal(estimate(estimator, one._replace(**{name: None})), estimate(estimator, one))
+        np.testing.assert_array_equal(estimate(estimator, dataclasses.replace(one, **{name: None})), estimate(estimator, one))
 
 
 ESTIMATORS = {
@@ -89,28 +92,30 @@ ESTIMATORS = {
 }
 
 
+@pytest.mark.usefixtures("untyped")
 @pytest.mark.parametrize("estimator", ESTIMATORS.values(), ids=ESTIMATORS)
 def test_a_loop_is_what_a_log_is(log, estimator, monkeypatch):
-    monkeypatch.setattr(jaxik.spmd.packed_step, "_by_xla", None)  # each has a kernel
-    samples = [Sample(*(x[0, k] for x in log)) for k in range(5)]
-    loop, found = EstimationLoop(estimator), []
+    monkeypatch.setattr(jaxik.spmd.control_loop, "_by_xla", None)  # each has a kernel
+    samples = list(log[0, :5])
+    loop, found = ControlLoop(estimator), []
     state = loop.start(samples[0])
     for sample in samples:
-        state = loop.step(state, sample)
-        found.append(state.external)
+        state, external = loop.step(state, sample)
+        np.testing.assert_array_equal(external, state.external)
+        found.append(external)
     np.testing.assert_allclose(found, estimate(estimator, log)[0, :5], rtol=1e-12, atol=1e-12)
     with pytest.raises(ValueError, match="estimation loop: missed is -1; allowed: a count"):
         loop.step(state, samples[0], missed=-1)
-    bad = samples[0]._replace(current=[0.0, np.nan])
+    bad = dataclasses.replace(samples[0], current=np.array([0.0, np.nan]))
     for faulty, says in (
         (bad, "estimation loop: current holds nan, q2; leave this sample out, and count it in `missed`"),
-        (bad._replace(q=[0.0, 0.0, 0.0]), r"q of shape \(3,\); allowed: \(2,\)"),
-        (bad._replace(q=0.0), r"q of shape \(\); allowed: \(2,\)"),
-        (samples[0]._replace(current=None), r"the sample has no current; give Sample\(..., current=\)"),
-        (samples[0]._replace(q=np.zeros(3), qdot=np.zeros(1)), r"q of shape \(3,\)"),  # as many numbers in all
-        (samples[0]._replace(q=["a", "b"]), "q: list that is no array of numbers"),
-        (samples[0]._replace(q=[np.nan, 0.0]), "q holds nan, q1"),  # which turns about gravity, and changes no torque
-        (bad._asdict(), "estimation loop: sample is .*; write a jaxik.estimation.Sample"),
+        (dataclasses.replace(bad, q=np.zeros(3)), r"q of shape \(3,\); allowed: \(2,\)"),
+        (dataclasses.replace(bad, q=0.0), r"q of shape \(\); allowed: \(2,\)"),
+        (dataclasses.replace(samples[0], current=None), r"the motion has no current; give Motion\(..., current=\)"),
+        (dataclasses.replace(samples[0], q=np.zeros(3), velocity=np.zeros(1)), r"q of shape \(3,\)"),  # as many numbers in all
+        (dataclasses.replace(samples[0], q=["a", "b"]), "q: list that is no array of numbers"),
+        (dataclasses.replace(samples[0], q=np.array([np.nan, 0.0])), "q holds nan, q1"),  # which changes no torque
+        (vars(bad), "estimation loop: sample is .*; write a jaxik.kinematics.Motion"),
     ):
         with pytest.raises(ValueError, match=says):
             loop.step(state, faulty)
@@ -119,28 +124,41 @@ def test_a_loop_is_what_a_log_is(log, estimator, monkeypatch):
 
 def test_what_is_left_out_is_no_contact(log):
     """An observer that is told how many samples it missed finds the push that it had found; one that is not is alarmed."""
-    loop, gap = EstimationLoop(MomentumObserver(ARM, 100.0, DT)), 3
-    samples = [Sample(x.q, x.qdot, current=x.current) for x in (Sample(*(y[0, k] for y in log)) for k in range(200))]
+    loop, gap = ControlLoop(MomentumObserver(ARM, 100.0, DT)), 3
+    samples = list(log[0, :200])
     state = loop.start(samples[0])
     for sample in samples[: -gap - 1]:
-        state = loop.step(state, sample)
-    told, untold = (loop.step(state, samples[-1], missed).external for missed in (gap, 0))
+        state, _ = loop.step(state, sample)
+    told, untold = (loop.step(state, samples[-1], missed)[1] for missed in (gap, 0))
     np.testing.assert_allclose(told, PUSH, atol=2e-3)
     assert np.abs(untold - PUSH).max() > 0.1
 
 
+@pytest.mark.usefixtures("untyped")
 @pytest.mark.parametrize(
     ("call", "says"),
     [
-        (lambda log: estimate(TorqueEstimator(ARM, FILTER), log._replace(q=log.q[:1])), r"but q of \(1, 400, 2\); allowed"),
-        (lambda log: estimate(ESTIMATORS["observer"], Sample([1.0], [1.0])), r"q of shape \(1,\); allowed: \(..., t, 2\)"),
-        (lambda log: estimate(ESTIMATORS["filter"], log._asdict()), "log is .*; write a jaxik.estimation.Sample"),
-        (lambda log: estimate(ESTIMATORS["filter"], log._replace(qddot=None)), "torque estimator: the sample has no qddot"),
-        (lambda log: estimate(ESTIMATORS["filter"], log._replace(torsion=None)), "torque estimator: the sample has no torsion"),
+        (
+            lambda log: estimate(TorqueEstimator(ARM, FILTER), dataclasses.replace(log, q=log.q[:1])),
+            r"but q of \(1, 400, 2\); allowed",
+        ),
+        (
+            lambda log: estimate(ESTIMATORS["observer"], Motion(np.ones(1), np.ones(1), current=np.ones(1))),
+            r"q of shape \(1,\); allowed: \(..., t, 2\)",
+        ),
+        (lambda log: estimate(ESTIMATORS["filter"], vars(log)), "log is .*; write a jaxik.kinematics.Motion"),
+        (
+            lambda log: estimate(ESTIMATORS["filter"], dataclasses.replace(log, acceleration=None)),
+            "estimate: the motion has no acceleration",
+        ),
+        (
+            lambda log: estimate(ESTIMATORS["filter"], dataclasses.replace(log, torsion=None)),
+            "estimate: the motion has no torsion",
+        ),
         (lambda log: MomentumObserver(jaxik.load("planar2"), 1.0, DT), "momentum observer: planar2 has no drives"),
         (lambda log: TorqueEstimator(jaxik.load("planar2"), FILTER), "torque estimator: planar2 has no drives; write"),
         (
-            lambda log: estimate(TorqueEstimator(ARM, FILTER), log._replace(torsion=np.full_like(log.q, np.inf))),
+            lambda log: estimate(TorqueEstimator(ARM, FILTER), dataclasses.replace(log, torsion=np.full_like(log.q, np.inf))),
             "torsion holds .* at sample 0, q1; interpolate it, or cut the log in two there",
         ),
         (lambda log: TorqueFilter.of_drives(jaxik.load("planar2"), 1.0, 1.0), "planar2 has no drives; use robot.with_drives"),

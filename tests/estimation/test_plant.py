@@ -10,7 +10,8 @@ from test_estimation import ARM, an_arm
 
 import jaxik
 from jaxik.dynamics import Drive, forward_dynamics
-from jaxik.estimation import Instruments, Push, TorqueEstimator, TorqueFilter, estimate, mujoco_model, play
+from jaxik.estimation import PlayOptions, Push, TorqueEstimator, TorqueFilter, estimate, play
+from jaxik.estimation.plant import mujoco_model
 from jaxik.kinematics import jacobian
 from jaxik.planning import time_path
 
@@ -45,22 +46,25 @@ def test_a_push_is_played_and_found():
     """At a point of a link that moves; the plant's truth is J'f, and an ideal arm's currents show it."""
     tool = jaxik.pose([0.1, 0.05, 0.0])
     push = Push("link2", [0.1, 0.05, 0.0], [0.0, 5.0, 0.0], 0.3, 0.6)
-    log = play(IDEAL, MOTION, [push], rest=(0.1, 0.2))
-    during = (log.t >= 0.3) & (log.t < 0.6)
+    told = []
+    played = play(IDEAL, MOTION, pushes=[push], rest=(0.1, 0.2), progress=lambda *each: told.append(each))
+    log, asked = played.measured, played.asked
+    assert told[-1] == (len(log.q), len(log.q))
+    during = (log.time >= 0.3) & (log.time < 0.6)
     columns = jax.jit(jax.vmap(lambda q: jacobian(IDEAL.with_tool(tool), q)[1]))(log.q)
     np.testing.assert_allclose(log.external, 5.0 * np.asarray(columns) * during[:, None], atol=1e-9)
-    assert np.abs(log.q - log.q_des)[log.t < 0.3].max() < 1e-3
+    assert np.abs(log.q - asked.q)[log.time < 0.3].max() < 1e-3
     estimator = TorqueEstimator(IDEAL, TorqueFilter.of_drives(IDEAL, 1.0, 1.0))
-    settled = (log.t > 0.5) & (log.t < 0.58)
-    np.testing.assert_allclose(estimate(estimator, log.samples())[settled], log.external[settled], rtol=0.1, atol=0.5)
+    settled = (log.time > 0.5) & (log.time < 0.58)
+    np.testing.assert_allclose(estimate(estimator, asked)[settled], log.external[settled], rtol=0.1, atol=0.5)
 
 
 def test_friction_sticks():
     """At rest a push below the friction's band moves nothing, and no current shows it; in motion it does."""
     held = time_path([[0.3, -0.5], [0.3, -0.499]], **CURVED)
     push = Push("link1", [0.0, 0.0, 0.0], lambda t, point: [-0.6 * point[1], 0.6 * point[0], 0.0], 0.5)
-    log = play(ARM, held, [push], rest=(0.0, 1.0))
-    before, after = np.searchsorted(log.t, [0.49, 0.99])
+    log = play(ARM, held, pushes=[push], rest=(0.0, 1.0)).measured
+    before, after = np.searchsorted(log.time, [0.49, 0.99])
     assert log.external[after, 0] == pytest.approx(0.6, rel=1e-6)  # of a band of 1 Nm and more
     assert abs(log.q[after, 0] - log.q[before, 0]) < 1e-5
     assert 5.0 * abs(log.current[after, 0] - log.current[before, 0]) < 0.05
@@ -68,13 +72,13 @@ def test_friction_sticks():
 
 def test_instruments():
     seen = {"current_noise": 0.3, "current_step": 0.05, "torsion_noise": 1e-4, "position_step": 1e-3, "window": 5}
-    exact, log = (play(IDEAL, MOTION, instruments=Instruments(**given), seed=1) for given in ({}, seen))
+    exact, log = (play(IDEAL, MOTION, seed=1, **given).measured for given in ({}, seen))
     assert np.std(log.current - exact.current) == pytest.approx(0.3, rel=0.1)
     for values, step in ((log.current, 0.05), (log.q, 1e-3)):
         np.testing.assert_allclose(values / step, np.round(values / step), atol=1e-6)
-    assert np.abs(log.qdot - exact.qdot)[5:].max() < 1e-3 / 5e-3 + 0.05
+    assert np.abs(log.velocity - exact.velocity)[5:].max() < 1e-3 / 5e-3 + 0.05
     assert not log.torsion.all() or np.std(log.torsion - exact.torsion) == pytest.approx(1e-4, rel=0.1)
-    again = play(IDEAL, MOTION, instruments=Instruments(**seen), seed=1)
+    again = play(IDEAL, MOTION, seed=1, options=PlayOptions(**seen)).measured
     np.testing.assert_array_equal(log.current, again.current)
 
 
@@ -83,11 +87,11 @@ def test_instruments():
     [
         (lambda: play(jaxik.load("planar2"), MOTION), "planar2 has masses for 0 of 2 joints"),
         (lambda: play(dataclasses.replace(ARM, drives=()), MOTION), "planar2 has no drives"),
-        (lambda: play(ARM, MOTION, [Push("link7", [0, 0, 0], [0, 0, 0])]), "no link 'link7'; did you mean"),
-        (lambda: play(ARM, MOTION, [Push("link1", [0, 0], [0, 0, 0])]), r"push: point of shape \(2,\)"),
+        (lambda: play(ARM, MOTION, pushes=[Push("link7", [0, 0, 0], [0, 0, 0])]), "no link 'link7'; did you mean"),
+        (lambda: play(ARM, MOTION, pushes=[Push("link1", [0, 0], [0, 0, 0])]), r"push: point of shape \(2,\)"),
         (lambda: play(ARM, MOTION, dt=0.0), "dt is 0.0"),
-        (lambda: Instruments(current_noise=-1.0), "current_noise is -1.0; allowed: finite numbers of at least 0"),
-        (lambda: Instruments(window=0), "window is 0; allowed: a count"),
+        (lambda: play(ARM, MOTION, current_noise=-1.0), "current_noise is -1.0; allowed: finite numbers of at least 0"),
+        (lambda: PlayOptions(window=0), "window is 0; allowed: a count"),
         (lambda: play(jaxik.load("crops_v2"), MOTION), "2 joints; crops_v2 has 9"),
     ],
 )

@@ -38,7 +38,7 @@ def another(seed=0):
 
 @pytest.fixture(scope="module")
 def excitation():
-    return excite(ARM, margin=None, terms=TERMS, velocity=2.0, period=20.0, steps=10)
+    return excite(ARM, collision=False, terms=TERMS, velocity=2.0, period=20.0, steps=10)
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def test_the_search_knows_its_slope():
 def test_excitation_keeps_clear():
     """Of a sphere and of itself, by coal's distances of the robot's volumes."""
     found = excite(ARM, scene=WALL, margin=0.02, velocity=2.0, starts=5, steps=10, samples=50)
-    bold = excite(ARM, margin=None, velocity=2.0, starts=5, steps=10, samples=50)
+    bold = excite(ARM, collision=False, velocity=2.0, starts=5, steps=10, samples=50)
     distances = [min(coals(q) for q in motion.at(np.linspace(0.0, 10.0, 101)).q) for motion in (found, bold)]
     assert distances[0] >= 0.02 - 1e-5 and distances[1] < 0.0
     assert found.condition < 100.0
@@ -276,7 +276,10 @@ def test_faults_in_one_line(change, line):
         (dict(period=0.0), "excite: period is 0.0; allowed: a finite number above 0"),
         (dict(margin=0.3), "excite: margin=0.3, the middle has a clearance of .* m; give a posture as middle"),
         (dict(middle=[0.5, 3.0, 0.0]), "excite: the middle of joint2 is not within share=0.9 of its limits"),
-        (dict(robot=dataclasses.replace(ARM, volumes=(), self_pairs=())), "no collision geometry; .*; or write margin=None"),
+        (
+            dict(robot=dataclasses.replace(ARM, volumes=(), self_pairs=())),
+            "no collision geometry; .*; or write collision=False",
+        ),
         (dict(speed=1.0), "excite: unknown option 'speed'"),
         (dict(robot=dataclasses.replace(ARM, upper=ARM.lower)), "excite: joint1 cannot move: 0 to 0, velocity inf"),
     ],

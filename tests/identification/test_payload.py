@@ -89,11 +89,10 @@ def test_of_a_simulated_arm():
     arm = model.with_drives([dataclasses.replace(drive, friction=rubs)] * 6)
     ways = np.array([[-0.6] * 6, [0.6, 0.8, -0.5, 0.7, 0.9, -0.8], [0.1, -0.7, 0.6, -0.8, -0.9, 0.8]])
     plan = jaxik.planning.time_path(ways[:3], profile="quintic", velocity=1.0, acceleration=3.0)
-    sensors = jaxik.estimation.Instruments(current_noise=0.01)
     logs = []
     for each in (arm.with_load(MASS, com=COM, inertia=TENSOR), arm):
-        log = jaxik.estimation.play(each, plan, model=model, instruments=sensors, dt=2e-3)
-        logs.append(Motion(log.q, log.qdot, np.gradient(log.qdot, log.t, axis=0), current=log.current))
+        log = jaxik.estimation.play(each, plan, model=model, current_noise=0.01, dt=2e-3).measured
+        logs.append(Motion(log.q, log.velocity, np.gradient(log.velocity, log.time, axis=0), current=log.current))
     found = identify_load(model, *logs, slowest=0.1)
     assert abs(found.mass - MASS) <= 0.05 and np.abs(found.com - COM).max() <= 0.01
     alone = identify_load(model, logs[0], slowest=0.1)

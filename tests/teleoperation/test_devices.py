@@ -6,7 +6,8 @@ import struct
 import numpy as np
 import pytest
 
-from jaxik.teleoperation import GamePad, Hand, Keyboard, RecordedHand, Watchdog
+from jaxik.teleoperation import GamePad, Hand, Keyboard, Watchdog
+from jaxik.teleoperation.devices import RecordedHand
 
 
 def event(value, kind, number):

@@ -5,13 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxik.teleoperation import DelayLine, Direct, PassivityController, WaveVariables
+from jaxik.teleoperation import DelayLine, PassivityController, WaveVariables
 from jaxik.teleoperation.hand_mapping import bounded
-from jaxik.teleoperation.passivity import silence
+from jaxik.teleoperation.passivity import Direct, silence
 
 DT, STEPS, DRAG = 1e-3, 1500, 15.0
 ROUNDING = 1e-11  # [J], of sums of some ten joules
-KEPT = {"waves": WaveVariables(DRAG), "controller": PassivityController(DRAG), "controller without drag": PassivityController()}
+KEPT = {
+    "waves": WaveVariables(impedance=DRAG),
+    "controller": PassivityController(drag=DRAG),
+    "controller without drag": PassivityController(),
+}
 
 
 def exchange(channel, delay, jitter, hand, world, fastest=np.inf, held=None):
@@ -92,7 +96,9 @@ def test_without_a_method_energy_is_made():
 def test_waves_are_transparent():
     """After a constant delay the arm does what the hand did; the hand feels its drag, and the force of then."""
     late, hand, force = 40, smooth(1, 0.4), smooth(2, 10.0)
-    run = lambda force: exchange(WaveVariables(DRAG), late * DT, 0.0, jnp.array(hand), lambda k, _: (force[k], jnp.eye(3)))
+    run = lambda force: exchange(
+        WaveVariables(impedance=DRAG), late * DT, 0.0, jnp.array(hand), lambda k, _: (force[k], jnp.eye(3))
+    )
     _, moved, felt = jax.jit(run)(jnp.zeros_like(force))
     np.testing.assert_allclose(moved[late:], hand[:-late], atol=1e-9)
     np.testing.assert_allclose(felt, -DRAG * hand, atol=1e-7)
@@ -104,7 +110,7 @@ def test_waves_are_transparent():
     np.testing.assert_allclose(moved[late:], hand[:-late] + ((force - round_trip) / (2.0 * DRAG))[late:], atol=1e-7)
 
 
-@pytest.mark.parametrize("channel", [Direct(DRAG), *KEPT.values()])
+@pytest.mark.parametrize("channel", [Direct(drag=DRAG), *KEPT.values()])
 def test_what_is_lost_costs_no_way(channel):
     """Where nothing touches the arm, all of the hand's way is gone, with packets that overtake each other, too."""
     hand = np.concatenate([smooth(3, 0.4), np.zeros((1500, 3))])
@@ -140,8 +146,8 @@ def test_a_line_without_delay_is_none():
         (lambda: DelayLine(-0.1), "delay -0.1 s, jitter 0 s; allowed: finite, at least 0"),
         (lambda: DelayLine(0.1, np.nan), "jitter nan s"),
         (lambda: jax.jit(DelayLine)(0.1), "a traced delay needs `longest`"),
-        (lambda: WaveVariables(0.0), "impedance is 0.0; it is a finite number of at least 1e-09"),
-        (lambda: PassivityController(-1.0), "PassivityController: drag is -1.0"),
+        (lambda: WaveVariables(impedance=0.0), "impedance is 0.0; it is a finite number of at least 1e-09"),
+        (lambda: PassivityController(drag=-1.0), "passivity controller: drag is -1.0"),
     ],
 )
 def test_refusals(call, says):

@@ -13,27 +13,26 @@ import pytest
 import jaxik
 from jaxik.dynamics import PointForce
 from jaxik.reasons import Reason
+from jaxik.spmd import ControlLoop
 from jaxik.teleoperation import (
     DelayLine,
-    Direct,
     Hand,
-    HandImpedance,
     PassivityController,
     PositionControl,
     RateControl,
-    RecordedHand,
     Teleoperation,
-    TeleoperationLoop,
     Watchdog,
     WaveVariables,
     reflect,
-    reflect_cost,
     simulate_teleoperation,
 )
+from jaxik.teleoperation.devices import RecordedHand
 from jaxik.teleoperation.hand_mapping import bounded
-from jaxik.teleoperation.passivity import silence
+from jaxik.teleoperation.passivity import Direct, silence
+from jaxik.teleoperation.reflection import reflect_cost
 
 DT = 1e-3
+GRIP = 0.5, 200.0, 15.0  # a hand that yields: kg, N/m, Ns/m
 ARM, FOUR, NINE = jaxik.load("planar2"), jaxik.load("pendulum4"), jaxik.load("crops_v2")
 XY = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
 Q = np.array([0.4, 1.1])
@@ -41,7 +40,7 @@ MID = np.array([0.5, 0.0, 0.6, 1.4, -0.5, 0.1, 0.4, 0.6, 0.1])
 
 
 def teleoperation(**options):
-    return Teleoperation(ARM, **{"task": XY, "margin": None, "dt": DT, **options})
+    return Teleoperation(ARM, **{"task": XY, "collision": False, "dt": DT, **options})
 
 
 def hands(position, **other):
@@ -97,8 +96,8 @@ def test_rate_control_waits_for_its_middle():
 
 def test_position_control_is_a_way_times_the_workspace():
     way = circle(500, 0.01)
-    np.testing.assert_allclose(followed(PositionControl(15.0, fastest=10.0), 0.2 + way), 15.0 * way, atol=1e-12)
-    late = followed(PositionControl(15.0, fastest=0.2), 0.2 + np.concatenate([way, np.tile(way[-1], (3000, 1))]))
+    np.testing.assert_allclose(followed(PositionControl(workspace=15.0, fastest=10.0), 0.2 + way), 15.0 * way, atol=1e-12)
+    late = followed(PositionControl(workspace=15.0, fastest=0.2), 0.2 + np.concatenate([way, np.tile(way[-1], (3000, 1))]))
     assert np.linalg.norm(np.diff(late, axis=0), axis=1).max() < 0.2 * DT + 1e-12
     np.testing.assert_allclose(late[-1], 15.0 * way[-1], atol=1e-9)  # and nothing of the way is lost
 
@@ -108,7 +107,7 @@ def test_the_clutch_indexes():
     there, back = np.linspace(0.0, 0.05, 200), np.linspace(0.05, 0.0, 200)
     way = np.concatenate([there, back, there])[:, None] * np.eye(3)[1]
     active = np.repeat([True, False, True], 200)
-    velocity = mapped(PositionControl(2.0, fastest=10.0), way, active)
+    velocity = mapped(PositionControl(workspace=2.0, fastest=10.0), way, active)
     assert not velocity[200:401].any()
     np.testing.assert_allclose(np.sum(velocity, axis=0) * DT, [0.0, 0.2, 0.0], atol=1e-12)
 
@@ -118,9 +117,9 @@ def test_the_clutch_indexes():
 def test_a_hand_that_outruns_the_arm_feels_the_drag_alone(late, smoothing):
     """Where nothing touches the arm a line of waves is a damper, also for a hand that is faster than the arm may be; and the
     arm gets there in the end."""
-    mapping, b = PositionControl(3.0, smoothing, fastest=0.2), 20.0
+    mapping, b = PositionControl(workspace=3.0, smoothing=smoothing, fastest=0.2), 20.0
     lines = {"there": DelayLine(late), "back": DelayLine(late)}
-    setup = teleoperation(mapping=mapping, channel=WaveVariables(b), leash=1.0, acceleration=1e3, **lines)
+    setup = teleoperation(mapping=mapping, channel=WaveVariables(impedance=b), leash=1.0, acceleration=1e3, **lines)
     way = np.minimum(0.2 * DT * np.arange(1000), 0.03)[:, None] * [-1.0, 0.0, 0.0]
     done = jax.jit(functools.partial(simulate_teleoperation, setup))(Q, hands(way))
     np.testing.assert_allclose(np.abs(done.command.force).max(), b * 3.0 * 0.2, rtol=0.1)
@@ -131,7 +130,7 @@ def test_a_hand_that_outruns_the_arm_feels_the_drag_alone(late, smoothing):
 def test_tremor_is_smoothed():
     t = DT * np.arange(2000)
     tremor = np.stack([1e-4 * np.sin(2.0 * np.pi * 9.0 * t), 0.0 * t, 0.0 * t], axis=1)
-    moved = followed(PositionControl(15.0, smoothing=0.1), tremor)[1000:]
+    moved = followed(PositionControl(workspace=15.0, smoothing=0.1), tremor)[1000:]
     expected = 15e-4 / np.hypot(1.0, 2.0 * np.pi * 9.0 * 0.1)  # a low pass of first order
     assert np.ptp(moved[:, 0]) / 2.0 == pytest.approx(expected, rel=0.02)
 
@@ -186,17 +185,17 @@ def test_levers_and_magnitudes():
     external = columns(MID, TOUCHED).T @ TOUCHED.force
     weights = np.where(NINE.is_prismatic, 1.0, 0.5**-2)
     expected = np.asarray(jaxik.jacobian(NINE, MID))[:3] @ (weights * external)
-    lever, size = (reflect(NINE, MID, TOUCHED, felt, 0.5) for felt in ("lever", "magnitude"))
+    lever, size = (reflect(NINE, MID, TOUCHED, felt=felt, length=0.5) for felt in ("lever", "magnitude"))
     np.testing.assert_allclose(lever, expected, atol=1e-5)
     assert np.linalg.norm(size) == pytest.approx(np.linalg.norm(TOUCHED.force))
     np.testing.assert_allclose(np.cross(size, lever), 0.0, atol=1e-9)
     two = PointForce(*(np.stack([x, x]) for x in TOUCHED))
     for felt in ("power", "lever", "magnitude"):
         np.testing.assert_allclose(
-            reflect(NINE, MID, two, felt), 2.0 * np.asarray(reflect(NINE, MID, TOUCHED, felt)), atol=1e-9
+            reflect(NINE, MID, two, felt=felt), 2.0 * np.asarray(reflect(NINE, MID, TOUCHED, felt=felt)), atol=1e-9
         )
     base = TOUCHED._replace(joint=0)
-    assert not np.asarray([reflect(NINE, MID, base, felt) for felt in ("power", "lever", "magnitude")]).any()
+    assert not np.asarray([reflect(NINE, MID, base, felt=felt) for felt in ("power", "lever", "magnitude")]).any()
 
 
 def test_a_cost_pulls_down():
@@ -213,19 +212,21 @@ def test_the_tip_follows_the_hand():
     """15 : 1, on an arm that stands turned: along the world's axes."""
     turned = ARM.mounted(jaxik.spatial.pose([0.3, 0.2, 0.0], rpy=[0.0, 0.0, 0.8]))
     way = circle(1000, 0.01)
-    setup = Teleoperation(turned, PositionControl(15.0, fastest=5.0), task=XY, margin=None, acceleration=1e3)
+    setup = Teleoperation(
+        turned, mapping=PositionControl(workspace=15.0, fastest=5.0), task=XY, collision=False, acceleration=1e3
+    )
     done = jax.jit(functools.partial(simulate_teleoperation, setup))(np.array([0.2, 1.9]), hands(way))
     moved = np.asarray(done.tip - done.tip[0])
     assert np.abs(moved[1:] - 15.0 * way[:-1]).max() < 0.002
     assert not done.command.reason.any()
-    rates = np.diff(np.asarray(done.q), axis=0) / DT
+    rates = np.diff(np.asarray(done.motion.q), axis=0) / DT
     np.testing.assert_allclose(rates, done.command.rate[:-1], atol=1e-9)
 
 
 @functools.cache
 def failing():
     """A hand that goes on for half a second, is silent for one, and goes on elsewhere; the program is shared."""
-    setup = teleoperation(mapping=PositionControl(5.0, fastest=2.0))
+    setup = teleoperation(mapping=PositionControl(workspace=5.0, fastest=2.0))
     return jax.jit(functools.partial(simulate_teleoperation, setup)), setup
 
 
@@ -295,7 +296,7 @@ def test_limits_and_clearance_are_kept():
     bent = np.array([-0.5, -0.5, -0.3, -0.6])
     setup = Teleoperation(
         FOUR,
-        PositionControl(10.0, fastest=1.0),
+        mapping=PositionControl(workspace=10.0, fastest=1.0),
         task=XY,
         scene=SCENE,
         margin=0.02,
@@ -307,7 +308,7 @@ def test_limits_and_clearance_are_kept():
     way = shares * (aims - tip)[:, None] / 10.0
     age = np.where((np.arange(4)[:, None] == 3) & (np.arange(2500) >= SILENT), 1.0, 0.0)
     done = jax.jit(jax.vmap(lambda way, age: simulate_teleoperation(setup, bent, Hand(way, age=age))))(way, age)
-    q = np.asarray(done.q)
+    q = np.asarray(done.motion.q)
     apart = jax.jit(jax.vmap(jax.vmap(lambda q: jaxik.clearance(FOUR, SCENE, q))))(q)
     assert apart.min() > 0.02 - 1e-9 and apart[0].min() < 0.03
     assert (q >= FOUR.lower - 1e-9).all() and (q <= FOUR.upper + 1e-9).all()
@@ -317,7 +318,7 @@ def test_limits_and_clearance_are_kept():
     assert ways.min() > 0.2  # each went somewhere
 
 
-CHANNELS = [WaveVariables(20.0), PassivityController(20.0), PassivityController(), Direct()]
+CHANNELS = [WaveVariables(impedance=20.0), PassivityController(drag=20.0), PassivityController(), Direct()]
 
 
 @pytest.mark.parametrize("channel", CHANNELS, ids=str)
@@ -335,8 +336,10 @@ def test_the_loop_makes_no_energy(channel):
             return PointForce(2, tip, stiffness * jnp.maximum(start - 0.05 - tip[1], 0.0) * jnp.array([0.0, 1.0, 0.0]))
 
         lines = [DelayLine(delay, jitter, longest=0.12, seed=seed) for seed in (0, 1)]
-        setup = teleoperation(mapping=PositionControl(10.0, fastest=2.0), channel=channel, there=lines[0], back=lines[1])
-        return simulate_teleoperation(setup, Q, Hand(way), wall, HandImpedance()).command
+        setup = teleoperation(
+            mapping=PositionControl(workspace=10.0, fastest=2.0), channel=channel, there=lines[0], back=lines[1]
+        )
+        return simulate_teleoperation(setup, Q, Hand(way), world=wall, grip=GRIP).command
 
     delay, jitter = jnp.array([0.0, 0.02, 0.1, 0.05, 0.1]), jnp.array([0.0, 0.0, 0.0, 0.02, 0.0])
     found = run(delay, jitter, jnp.array([1000.0, 1000.0, 1000.0, 1000.0, 0.0]))
@@ -346,12 +349,19 @@ def test_the_loop_makes_no_energy(channel):
 
 
 @pytest.mark.parametrize("smoothing", [0.0, 0.05])
-@pytest.mark.parametrize("channel", [PassivityController(), WaveVariables(20.0)], ids=["controller", "waves"])
+@pytest.mark.parametrize("channel", [PassivityController(), WaveVariables(impedance=20.0)], ids=["controller", "waves"])
 def test_no_work_comes_out_at_the_hand(channel, smoothing):
     """Of the hand's own velocity times what is rendered on it, less what a spring at the tip holds: counted here, not by the
     channel; moving as it likes, with the clutch pressed now and then, and with a device that is silent or mad for a while."""
     setup = Teleoperation(
-        FOUR, PositionControl(3.0, smoothing), channel, task=XY, margin=None, dt=DT, acceleration=1e3, leash=1.0
+        FOUR,
+        mapping=PositionControl(workspace=3.0, smoothing=smoothing),
+        channel=channel,
+        task=XY,
+        collision=False,
+        dt=DT,
+        acceleration=1e3,
+        leash=1.0,
     )
     q = jnp.array([0.3, 0.6, 0.5, 0.4])
     tip, k = jaxik.forward_kinematics(FOUR, q)[:3, 3], 300.0
@@ -380,10 +390,10 @@ def test_no_work_comes_out_at_the_hand(channel, smoothing):
     assert not force[clutch == 1.0].any() and not force[age == 1.0].any()
 
 
-@pytest.mark.parametrize("channel", [Direct(), WaveVariables(20.0)], ids=["direct", "waves"])
+@pytest.mark.parametrize("channel", [Direct(), WaveVariables(impedance=20.0)], ids=["direct", "waves"])
 def test_the_clutch_stops_the_arm(channel):
     """However far the arm is behind a hand that was faster than it may be."""
-    setup = teleoperation(mapping=PositionControl(10.0, smoothing=0.05, fastest=0.1), channel=channel)
+    setup = teleoperation(mapping=PositionControl(workspace=10.0, smoothing=0.05, fastest=0.1), channel=channel)
     way = np.minimum(np.arange(600) / 100.0, 1.0)[:, None] * [-0.05, 0.0, 0.0]
     pressed = np.arange(600)[:, None] >= 200
     done = jax.jit(functools.partial(simulate_teleoperation, setup))(Q, hands(way, buttons=pressed))
@@ -393,8 +403,15 @@ def test_the_clutch_stops_the_arm(channel):
 
 def test_a_loop_is_the_step():
     """As a kernel, in NumPy; with a contact, a turn and the clutch."""
-    setup = Teleoperation(NINE, RateControl(), WaveVariables(), cost=lambda q: jaxik.costs.joint_limit_cost(NINE, q))
-    loop, step = TeleoperationLoop(setup, contacts=1, buttons=2), jax.jit(setup.step)
+    setup = Teleoperation(
+        NINE,
+        mapping=RateControl(),
+        channel=WaveVariables(),
+        contacts=1,
+        buttons=2,
+        cost=lambda q: jaxik.costs.joint_limit_cost(NINE, q),
+    )
+    loop, step = ControlLoop(setup), jax.jit(setup.step)
     state, q = loop.start(MID), MID
     expected = setup.init(MID)
     for k in range(4):
@@ -414,7 +431,7 @@ def test_a_loop_is_the_step():
 @pytest.fixture(scope="module")
 def small():
     """A loop of two joints, with a contact and two buttons, and its state at rest."""
-    loop = TeleoperationLoop(teleoperation(), contacts=1, buttons=2)
+    loop = ControlLoop(teleoperation(contacts=1, buttons=2))
     return loop, loop.start(Q)
 
 
@@ -460,7 +477,7 @@ def test_threads_share_a_loop(small):
 
 def test_one_sample_is_operated():
     done = simulate_teleoperation(teleoperation(), Q.astype(np.float32), Hand(np.zeros((1, 3), int)))
-    assert done.q.shape == (1, 2) and done.q.dtype == np.float64 and not np.any(done.command.rate)
+    assert done.motion.q.shape == (1, 2) and done.motion.q.dtype == np.float64 and not np.any(done.command.rate)
 
 
 @pytest.mark.parametrize(
@@ -470,14 +487,15 @@ def test_one_sample_is_operated():
             lambda: teleoperation(mapping="position"),
             "mapping is position; write one of its kinds, as PositionControl",
         ),
-        (lambda: teleoperation(channel=Direct), "channel is .*; write one of its kinds, as Direct"),
+        (lambda: teleoperation(channel=Direct), "channel is .*; write one of its kinds, as WaveVariables"),
         (lambda: teleoperation(there=0.05), "there is 0.05; write a jaxik.teleoperation.DelayLine"),
         (lambda: teleoperation(task="pose"), "task is pose; write a jaxik.Task"),
         (lambda: teleoperation(felt="weight"), "felt 'weight'; allowed: power, lever, magnitude"),
         (lambda: teleoperation(cost=lambda q: q), "the cost gives float64 of shape"),
         (lambda: teleoperation(acceleration=(1.0, 2.0, 3.0)), "acceleration has 3 numbers; planar2 has 2 joints"),
-        (lambda: TeleoperationLoop(teleoperation(), buttons=0), "buttons is 0; allowed: a count"),
-        (lambda: TeleoperationLoop(None), "teleoperation is None; write a jaxik.teleoperation.Teleoperation"),
+        (lambda: teleoperation(buttons=0), "buttons is 0; allowed: a count"),
+        (lambda: ControlLoop(None), "control loop: None; write a Reaction, a Teleoperation"),
+        (lambda: teleoperation(channel=WaveVariables(), drag=1.0), "drag 1 beside a channel; leave one"),
         (
             lambda: simulate_teleoperation(teleoperation(), Q, Hand(np.zeros((0, 3)))),
             r"shape \(0, 3\); allowed: \(t, 3\), of samples t > 0",
@@ -496,12 +514,12 @@ def test_one_sample_is_operated():
         (lambda: Teleoperation(jaxik.load("planar2"), margin=-1.0), "margin is -1.0"),
         (lambda: DelayLine(0.1, 0.02, longest=0.05), "longest 0.05 s; allowed: finite, at least delay \\+ jitter, 0.12 s"),
         (lambda: jax.jit(lambda late: DelayLine(late, longest=np.nan).delay)(0.1), "delay line: longest is nan"),
-        (lambda: reflect(NINE, MID, TOUCHED, "lever", 0.0), "reflect: length is 0.0; it is a finite number"),
+        (lambda: reflect(NINE, MID, TOUCHED, felt="lever", length=0.0), "reflect: length is 0.0; it is a finite number"),
         (lambda: reflect(NINE, MID, TOUCHED._replace(point=None)), "reflect: point is None; write an array of numbers"),
-        (lambda: reflect(NINE, MID, TOUCHED, "weight"), "felt 'weight'; allowed: power, lever, magnitude"),
-        (lambda: PositionControl(0.0), "workspace is 0.0"),
+        (lambda: reflect(NINE, MID, TOUCHED, felt="weight"), "felt 'weight'; allowed: power, lever, magnitude"),
+        (lambda: PositionControl(workspace=0.0), "workspace is 0.0"),
         (lambda: RateControl(c2=np.nan), "c2 is nan"),
-        (lambda: TeleoperationLoop(teleoperation()).start([0.0, np.nan]), "q holds NaN"),
+        (lambda: ControlLoop(teleoperation()).start([0.0, np.nan]), "q holds NaN"),
     ],
 )
 def test_refusals(call, says):
@@ -514,5 +532,5 @@ def test_a_hand_held_in_a_grip_goes_on_after_a_number_that_is_none():
     setup = teleoperation(mapping=PositionControl())
     way = circle(300, 0.01)
     way[100] = np.nan
-    done = jax.jit(lambda w: simulate_teleoperation(setup, jnp.asarray(Q), hands(w), grip=HandImpedance()))(way)
+    done = jax.jit(lambda w: simulate_teleoperation(setup, jnp.asarray(Q), hands(w), grip=GRIP))(way)
     assert (np.asarray(done.command.reason) != Reason.SOLVED).sum() <= 1 and np.isfinite(done.hand[101:]).all()

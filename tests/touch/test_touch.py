@@ -7,7 +7,7 @@ import pytest
 
 import jaxik
 from jaxik.dynamics import PointForce, material_point, point_torque
-from jaxik.touch import Skin, SpringContact, TouchSensor, contact_cost
+from jaxik.touch import Skin, SpringContact, TouchSensor
 
 ARM = jaxik.load("pendulum4")
 Q = np.array([0.3, -0.4, 0.5, 0.2])
@@ -48,7 +48,7 @@ def test_the_cost_of_a_contact_slopes_against_its_torque():
     local = np.array([0.0, 0.5, 0.0])
     point = np.asarray(material_point(ARM, Q, 3, local))
     wall = SpringContact(point + 0.03 * NORMAL, NORMAL, 60.0)
-    slope = jax.grad(contact_cost(ARM, wall, 3, local))(Q)
+    slope = jax.grad(wall.cost(ARM, 3, local))(Q)
     np.testing.assert_allclose(slope, -point_torque(ARM, Q, PointForce(3, point, wall.force(point))), atol=1e-12)
 
 

@@ -1,5 +1,8 @@
-"""A step of a control loop as one kernel of one row: a kernel's call costs a microsecond for each array, and so does each array
-that is cut out of a row. The state is therefore taken apart only if somebody looks at it."""
+"""What has a state, in a control loop: NumPy in, NumPy out, one kernel a sample.
+
+A kernel's call costs a microsecond for each array, and so does each array that is cut out of a row. So a step is a kernel of
+one row, and the state is taken apart only if somebody looks at it.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,84 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.spmd import HostKernel, Unsupported
+from jaxik.spmd.host import HostKernel
+from jaxik.spmd.scalarise import Unsupported
+
+
+class Stepped:
+    """What a `ControlLoop` runs. A subclass has `init` and `step`, pure and traced, of trees of arrays whose shapes stay the
+    same, and `begun`, which knows these shapes; the rest is for those that take a sample in another form."""
+
+    who: str = "control"  # asks in messages
+
+    def init(self, *first: Any) -> Any:
+        """Returns the state before the first sample. Traced."""
+        raise NotImplementedError
+
+    def step(self, state: Any, *given: Any) -> tuple[Any, Any]:
+        """Returns the state after a sample, and the command or the estimate. Traced."""
+        raise NotImplementedError
+
+    def begun(self, *first: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        """Returns, of what `ControlLoop.start` was given, what `init` takes, and an example of what `step` is given. Host.
+        Raises `ValueError` for what does not fit."""
+        raise NotImplementedError
+
+    def taken(self, *given: Any) -> tuple[Any, ...]:
+        """Returns, of what `ControlLoop.step` was given, what `step` is given. Host."""
+        return given
+
+    def refuse(self, *given: Any) -> None:
+        """Raises `ValueError` with a sample's fault, where it knows one. Host."""
+
+    def answered(self, told: Any, *given: Any) -> Any:
+        """Returns what `step` told, to the caller of `ControlLoop.step`. Host. Raises `ValueError` where that is not sound."""
+        return told
+
+
+class ControlLoop:
+    """Runs a reaction, a teleoperation, an estimator, or a `Stepped` of your own in a loop, in float64, whatever JAX is set to.
+    Host.
+
+        loop = ControlLoop(reaction)
+        state = loop.start(q)  # the first start compiles
+        while True:
+            state, command = loop.step(state, q, qdot, motion, contact)
+
+    `start` takes what `begun` of the system takes, `step` what its `taken` does: of a `Reaction` and a `Teleoperation` that is
+    q (n,) and what their own `step` takes; of an estimator a sample, and how many were `missed` before it. All in NumPy's
+    arrays; a state has the fields of the system's own.
+    """
+
+    def __init__(self, system: Stepped):
+        if not isinstance(system, Stepped):
+            raise ValueError(f"control loop: {str(system)[:60]}; write a Reaction, a Teleoperation, an estimator or a Stepped")
+        self.system = system
+        self._step: PackedStep | None = None
+        own = lambda name: getattr(system, name) if getattr(type(system), name) is not getattr(Stepped, name) else None
+        self._taken, self._answered = own("taken"), own("answered")  # a call that changes nothing takes its time, too
+
+    def start(self, *first: Any, **more: Any) -> Packed:
+        """Returns the state before the first sample. Raises `ValueError` for numbers that do not fit."""
+        first, given = self.system.begun(*first, **more)
+        with jax.enable_x64(True):
+            state = self.system.init(*first)
+        if self._step is None or not self._step.fits(state, *given):
+            self._step = PackedStep(f"{self.system.who} loop", self.system.step, state, *given)
+        return self._step.packed(state)
+
+    def step(self, state: Packed, *given: Any, **more: Any) -> tuple[Packed, Any]:
+        """Returns the state after a sample, and the command or the estimate; the given state stays as it is. Raises
+        `ValueError` for other shapes than those of the start; numbers that are none are answered as the system does it."""
+        if self._step is None:
+            raise ValueError(f"{self.system.who} loop: not started; call start before step")
+        try:
+            plain = self._taken is None and not more
+            after, told = self._step(state, *(given if plain else self.system.taken(*given, **more)))
+        except (AttributeError, ValueError):
+            self.system.refuse(*given, **more)
+            raise
+        return after, told if self._answered is None else self._answered(told, *given, **more)
 
 
 class Packed:
@@ -54,6 +134,13 @@ class PackedStep:
             return jnp.concatenate([jnp.asarray(x, row.dtype).ravel() for x in jax.tree_util.tree_leaves(after)])
 
         self._run = repeated(of_row, _row(*self._state.leaves(state), *self._given.leaves(given))[None])
+
+    def fits(self, state: Any, *given: Any) -> bool:
+        """Whether trees have the shapes of those that it was compiled for."""
+        try:
+            return bool(self._state.leaves(state) and self._given.leaves(given))
+        except ValueError:
+            return False
 
     def packed(self, state: Any) -> Packed:
         """A state to begin with."""
@@ -100,7 +187,7 @@ class _Layout:
         return flat
 
     def of(self, row: Any) -> Any:
-        """The tree, of a row. Traced, or of NumPy."""
+        """Returns the tree of a row. Traced, or of NumPy."""
         leaves = [row[place] for place in self._places]
         for k, shape in self._matrices:
             leaves[k] = leaves[k].reshape(shape)
@@ -120,8 +207,8 @@ def _wide(tree: Any) -> Any:
 
 
 def repeated(function: Callable[..., Any], *rows: np.ndarray) -> Callable[..., list[np.ndarray]]:
-    """`function` of rows such as these (1, ...), in float64, to be called again and again: one kernel, or by XLA where there is
-    none. Threads wait for each other: the kernel has one place for what it is given. Compiles."""
+    """Compiles `function` for rows such as these (1, ...), in float64, to be called again and again: one kernel, or by XLA
+    where there is none. Threads wait for each other: the kernel has one place for what it is given."""
     kernel = HostKernel(function, len(rows))
     try:
         run = kernel.repeated(*rows, double=True)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
-from jaxik.estimation import Butterworth
 from jaxik.touch import StiffnessEstimator
+from jaxik.touch.lowpass import Butterworth
 
 
 @pytest.mark.parametrize("order", [1, 3, 8])
