@@ -79,7 +79,7 @@ class DynamicsArguments(RobotArguments):
         time = found.time
         self._doubt(robot, time, np.asarray(found.q))
         whole = found.velocity is not None and found.acceleration is not None and self.smooth is None
-        demand = demanded(robot, found if whole else smooth(found, self.smooth), self.gravity)
+        demand = demanded(robot, found if whole else smooth(found, cutoff=self.smooth), self.gravity)
         with writing(self.out) as (aside, wrote):
             _write(aside, robot, time, demand)
         if found.acceleration is None:

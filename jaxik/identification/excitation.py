@@ -113,7 +113,7 @@ class _Search:
 
     def __init__(self, robot: Robot, space: ClearSpace | None, middle: np.ndarray, options: ExciteOptions):
         self.robot, self.space, self.middle, self.terms = robot, space, middle, options.terms
-        self.base, self.weight = base_parameters(robot, options.terms), WEIGHTS[0]
+        self.base, self.weight = base_parameters(robot, terms=options.terms), WEIGHTS[0]
         fastest = np.minimum(robot.velocity, options.velocity)
         self.limits = np.array([half_range(robot, middle, options.share), fastest, np.full_like(middle, options.acceleration)])
         self.inertial = np.asarray(robot.parameters) if robot.bodies else np.zeros(10 * robot.num_joints)

@@ -154,7 +154,7 @@ def identify(
 def _identified(
     robot: Robot, problem: Problem, known: np.ndarray, options: IdentifyOptions, told: Callable[[int], None]
 ) -> IdentifyResult:
-    base = base_parameters(robot, options.terms)
+    base = base_parameters(robot, terms=options.terms)
     if (rows := int(problem.counts.sum())) < 2 * len(base):
         raise ValueError(f"identify: {rows} values for {len(base)} unknowns; log a longer motion, twice as many at least")
     check_alive("identify", robot, problem.torque)

@@ -107,7 +107,7 @@ class BaseParameters:
         return f"BaseParameters of {self.matrix.shape[1]}: {len(self)}; unseen: {', '.join(self.unseen) or 'none'}"
 
 
-def base_parameters(robot: Robot, terms: Sequence[Term] = (), *, seed: int = 0) -> BaseParameters:
+def base_parameters(robot: Robot, *, terms: Sequence[Term] = (), seed: int = 0) -> BaseParameters:
     """Finds what any motion of the robot can tell of its bodies and of the `terms` of its drives' friction. Host driver.
 
     Raises `ValueError` for a term that does not exist. Source: Gautier 1991.

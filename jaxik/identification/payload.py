@@ -70,8 +70,8 @@ class LoadResult(FitResult):
 def identify_load(
     robot: Robot,
     loaded: Motion | Sequence[Motion],
-    empty: Motion | Sequence[Motion] | None = None,
     *,
+    empty: Motion | Sequence[Motion] | None = None,
     options: LoadOptions | None = None,
     **changes: Any,
 ) -> LoadResult:

@@ -15,7 +15,7 @@ EVEN = 1e-3  # of a period: samples that are so even stay as they are
 SETTLED = 3.0  # periods of the cutoff, in which what the filter makes of an end has died away
 
 
-def smooth(motion: Motion, cutoff: float | None = None) -> Motion:
+def smooth(motion: Motion, *, cutoff: float | None = None) -> Motion:
     """Returns a log below the frequency `cutoff` [Hz], without delay, and with the derivatives that it lacks. Host.
 
     A Butterworth filter of fourth order goes over each quantity forwards and backwards, so that of a frequency f there stays

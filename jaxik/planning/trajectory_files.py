@@ -122,7 +122,7 @@ def load_trajectory(path: str | Path, *, robot: Robot | Sequence[str], smooth: f
 def _whole(motion: Motion, cutoff: float | None = None) -> Motion:
     """The motion with rates and accelerations."""
     missing = motion.velocity is None or motion.acceleration is None
-    return smoothing.smooth(motion, cutoff) if missing or cutoff is not None else motion
+    return smoothing.smooth(motion, cutoff=cutoff) if missing or cutoff is not None else motion
 
 
 def read_motion(path: Path, names: Sequence[str]) -> Motion:

@@ -51,7 +51,7 @@ def test_base_parameters_by_name():
     base = base_parameters(ARM)
     assert base.words[:3] == ("m(joint1) + m(joint2) + m(joint3)", "Izz(joint2) + Iyy(joint3)", "mx(joint3)")
     assert len(base) == 9 and "Izz(joint1)" in base.unseen and "mz(joint3)" in base.unseen
-    planar = base_parameters(jaxik.load("planar2"), ("coulomb", "armature"))
+    planar = base_parameters(jaxik.load("planar2"), terms=("coulomb", "armature"))
     # links of 1 m in a plane across gravity, and a rotor that cannot be told from what it turns
     assert planar.words[:4] == ("Izz(q1) + m(q2) + armature(q1)", "mx(q2)", "my(q2)", "Izz(q2)")
     assert planar.words[4:] == ("coulomb(q1)", "coulomb(q2)", "armature(q2)")
@@ -323,7 +323,7 @@ def test_filtered_noise_is_counted_once(six):
         off = []
         for _ in range(4):
             noisy = torque + 0.1 * torque.std(axis=0) * rng.normal(size=torque.shape)
-            noisy = smooth(Motion(wave[0], time=time, torque=noisy), 8.0).torque if filtered else noisy
+            noisy = smooth(Motion(wave[0], time=time, torque=noisy), cutoff=8.0).torque if filtered else noisy
             found = identify(known, Motion(*wave, torque=noisy), terms=())
             assert found.reason == Reason.SOLVED
             off.append((found.value - true) / found.std)
@@ -354,7 +354,7 @@ def test_a_joint_that_drowns_in_noise_is_not_strange(cutoff, six):
     """A last joint has little to carry: its sensor's noise is most of what it shows, and the log is right all the same."""
     time, wave, torque, _ = six
     noisy = torque + 3.0 * torque[:, -1].std() * np.random.default_rng(4).normal(size=torque.shape)
-    noisy = smooth(Motion(wave[0], time=time, torque=noisy), cutoff).torque if cutoff else noisy
+    noisy = smooth(Motion(wave[0], time=time, torque=noisy), cutoff=cutoff).torque if cutoff else noisy
     known = dataclasses.replace(SIX, drives=())
     found = identify(known, Motion(*wave, torque=noisy), terms=())
     assert found.reason == Reason.SOLVED

@@ -54,7 +54,7 @@ def logs():
 
 
 def test_against_pinocchio(logs):
-    found = identify_load(WRIST, *logs)
+    found = identify_load(WRIST, logs[0], empty=logs[1])
     assert found.reason == Reason.SOLVED and found.success
     assert abs(found.mass - MASS) <= min(0.02, 4.0 * found.mass_std)
     assert np.all(np.abs(found.com - COM) <= np.minimum(2e-3, 4.0 * found.com_std))
@@ -93,7 +93,7 @@ def test_of_a_simulated_arm():
     for each in (arm.with_load(MASS, com=COM, inertia=TENSOR), arm):
         log = jaxik.estimation.play(each, plan, model=model, current_noise=0.01, dt=2e-3).measured
         logs.append(Motion(log.q, log.velocity, np.gradient(log.velocity, log.time, axis=0), current=log.current))
-    found = identify_load(model, *logs, slowest=0.1)
+    found = identify_load(model, logs[0], empty=logs[1], slowest=0.1)
     assert abs(found.mass - MASS) <= 0.05 and np.abs(found.com - COM).max() <= 0.01
     alone = identify_load(model, logs[0], slowest=0.1)
     assert abs(alone.mass - MASS) > abs(found.mass - MASS)
@@ -118,14 +118,14 @@ def test_faults_in_one_line(logs, line):
 
 def test_what_no_load_explains(logs):
     """A load that was taken away rather than added."""
-    assert identify_load(WRIST, *logs[::-1]).reason == Reason.NOT_CONVERGED
+    assert identify_load(WRIST, logs[1], empty=logs[0]).reason == Reason.NOT_CONVERGED
 
 
 @pytest.mark.parametrize("change", [lambda t: t[:, ::-1], lambda t: t[:, [2, 1, 0, 3, 4, 5]], lambda t: 1e3 * t])
 def test_logs_in_another_order_or_unit_say_so(logs, change):
     """The same of both, so that what they share goes out all the same."""
     swapped = [dataclasses.replace(log, torque=change(log.torque)) for log in logs]
-    found = identify_load(WRIST, *swapped)
+    found = identify_load(WRIST, swapped[0], empty=swapped[1])
     assert found.reason == Reason.UNEXPLAINED and "unexplained" in repr(found)
 
 
@@ -135,5 +135,5 @@ def test_no_load_is_none():
     for drift in (0.0, 0.1):
         torque = pinocchios(WRIST, moved) + (3.0 + drift * np.arange(2)[:, None, None]) * np.sign(moved[1])
         found = [Motion(*moved, torque=each + 0.02 * rng.normal(size=each.shape)) for each in torque]
-        reasons.append(identify_load(WRIST, *found).reason)
+        reasons.append(identify_load(WRIST, found[0], empty=found[1]).reason)
     assert Reason.UNEXPLAINED not in reasons

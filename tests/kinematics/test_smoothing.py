@@ -16,7 +16,7 @@ def _wave(time, hertz=0.7):
 
 
 def _smoothed(time, values, cutoff):
-    return smooth(Motion(values, time=time), cutoff)
+    return smooth(Motion(values, time=time), cutoff=cutoff)
 
 
 def test_as_scipy_in_the_middle():
@@ -44,7 +44,7 @@ def test_derivatives_of_rounded_positions(jitter):
 def test_all_quantities_are_filtered_and_what_is_missing_is_derived():
     """Currents as positions are; rates that were measured stay measured ones, and without a cutoff all stays as it is."""
     q, current, velocity = np.random.default_rng(2).normal(size=(3, 600, 2))
-    found = smooth(Motion(q, velocity, time=TIME, current=current), 5.0)
+    found = smooth(Motion(q, velocity, time=TIME, current=current), cutoff=5.0)
     for name, given in (("q", q), ("velocity", velocity), ("current", current)):
         np.testing.assert_array_equal(getattr(found, name), _smoothed(TIME, given, 5.0).q)
     np.testing.assert_array_equal(found.acceleration, _smoothed(TIME, velocity, 5.0).velocity)
@@ -72,6 +72,6 @@ def test_mistakes_are_named():
         with pytest.raises(ValueError, match=said):
             _smoothed(*given)
     with pytest.raises(ValueError, match="write a jaxik"):
-        smooth(COLUMN, 5.0)
+        smooth(COLUMN, cutoff=5.0)
     still = _smoothed(np.array([0.0, 0.1, 0.2]), np.ones((3, 1)), 1.0)
     assert still.q.ravel().tolist() == pytest.approx([1.0, 1.0, 1.0])
