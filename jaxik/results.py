@@ -74,7 +74,7 @@ class Result(Reasoned, Pytree):
             return self if number.ndim == 0 else type(self).stacked([self] * len(number))
         count, of = len(self), vars(self)
         given = {name: _picked(of[name], rows, count) for name in self._names()[0]}
-        if np.ndim(given.get("reason", 1)) == 0:
+        if "reason" in given and np.ndim(given["reason"]) == 0:  # it may be a property
             given["reason"] = Reason(int(given["reason"]))
         return self._replaced(given)
 

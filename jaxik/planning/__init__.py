@@ -1,4 +1,4 @@
-"""From postures to motions: paths through the space of joints, free of collision, and their timing."""
+"""Motions from posture to posture: paths through the space of joints, free of collision, and their timing."""
 
 from jaxik.planning.planner import PlanOptions, PlanResult, plan_motion
 from jaxik.planning.timing import time_path

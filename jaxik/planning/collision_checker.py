@@ -1,4 +1,4 @@
-"""What a planner asks of a robot among obstacles: which configurations collide, which motions are proven not to."""
+"""The planners' collision checker: which configurations collide, and which motions are proven not to."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
 RESOLUTION = 1e-3  # [m] by which a motion must keep more than its margin to be proven free
-CLOSE = 1e-5  # [m] likewise, where that proves nothing; float32 allows no less
+CLOSE = 1e-5  # [m] the same, where that proves nothing; float32 allows no less
 
 
 class CollisionChecker:
-    """Of one robot in one scene, with `margin` [m]; by samples it asks for a `cushion` [m] more, so that what looks free mostly
-    is. Rows of configurations are NumPy arrays (b, n).
+    """Checks one robot in one scene, with `margin` [m]; samples keep a `cushion` [m] more, so that what looks free mostly is.
+    Rows of configurations are NumPy arrays (b, n).
 
-    `weights` (n,) are how far a joint's unit moves the robot at most [m]: distances between configurations are measured so.
-    `checked` counts the configurations that were asked for. Volumes of the robot that are JAX arrays are operands of its
-    kernels: one serves all that an arm carries, if it has as many volumes."""
+    `weights` (n,) are the most that a joint's unit moves the robot [m], by which distances between configurations are measured.
+    `checked` counts the configurations that were checked. Volumes of the robot that are JAX arrays are operands of its kernels:
+    one serves all that an arm carries, if it has as many volumes."""
 
     def __init__(self, robot: Robot, scene: Scene | None, margin: float, cushion: float = 0.0):
         self.robot, self.carried = _apart(robot)
@@ -46,11 +46,11 @@ class CollisionChecker:
         self.checked = 0
 
     def length(self, moved: np.ndarray) -> np.ndarray:
-        """Of differences (..., n) between configurations [m]."""
+        """The length of differences (..., n) between configurations [m]."""
         return np.linalg.norm(moved * self.weights, axis=-1)
 
     def hits(self, q: np.ndarray, cushion: Any = 0.0) -> np.ndarray:
-        """Which configurations come nearer than the margin, and a cushion [m] beyond it."""
+        """Whether configurations (b, n) come nearer than the margin and a cushion [m] beyond it."""
         self.checked += len(q)
         margin, turned = self.margin + np.float32(cushion), q - whole_turns(self.endless, q)
         asked = lambda robot, around, rows: in_blocks(
@@ -59,7 +59,7 @@ class CollisionChecker:
         return self._first_by_volumes(asked)
 
     def free_part(self, start: np.ndarray, end: np.ndarray, step: float) -> np.ndarray:
-        """Of each straight motion, the part (b,) up to its first sample that hits, by samples every `step` [m]; 1 of all."""
+        """The part (b,) of each straight motion before its first sample that hits, with samples every `step` [m]; 1 is all."""
         counts = np.maximum(1, np.ceil(self.length(end - start) / step)).astype(int)
         row = np.repeat(np.arange(len(start)), counts)
         number = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts) + 1
@@ -71,7 +71,7 @@ class CollisionChecker:
         return part
 
     def proven(self, start: np.ndarray, end: np.ndarray, extra: Any = 0.0, resolution: float = RESOLUTION) -> np.ndarray:
-        """Which straight motions are proven to keep the margin, and `extra` (b,) [m] beyond it, throughout."""
+        """Whether straight motions are proven to keep the margin, and `extra` (b,) [m] beyond it, throughout."""
         margins = np.broadcast_to(self.margin + np.asarray(extra, np.float32), len(start))
         turns = whole_turns(self.endless, start)  # float32 has few digits left after many
         begin, finish = start - turns, end - turns
@@ -83,8 +83,8 @@ class CollisionChecker:
         return ~self._first_by_volumes(asked)
 
     def _first_by_volumes(self, asked: Callable[[Robot, Any, Any], np.ndarray]) -> np.ndarray:
-        """Which rows hit, as `asked` says of a robot, what is around it, and some of the rows: of an exact robot first by its
-        volumes and convex parts, which hold its surfaces, and then only of those that hit by these."""
+        """Whether rows hit, by `asked`, which takes a robot, its obstacles, and some of the rows: for an exact robot first by
+        its volumes and convex parts, which hold its surfaces, and then only for those that hit by these."""
         if self.model is None:
             return asked(self.robot, self.obstacles, slice(None))
         found = asked(*self.model, slice(None)).copy()
@@ -94,7 +94,7 @@ class CollisionChecker:
         return found
 
     def proven_closely(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """Likewise; those that are not are looked at more closely, for a way may begin hardly beyond the margin."""
+        """`proven`, with a closer look at those that are not: a way may begin hardly beyond the margin."""
         found = self.proven(start, end)
         left = np.flatnonzero(~found)
         found[left] = self.proven(start[left], end[left], resolution=CLOSE)
@@ -102,7 +102,7 @@ class CollisionChecker:
 
 
 def touched(robot: Robot, scene: Scene, q: np.ndarray, margin: float) -> np.ndarray:
-    """Which objects of the scene each configuration (b, n) is nearer to than the margin (b, objects)."""
+    """Whether each configuration (b, n) is nearer to each object of the scene than the margin (b, objects)."""
     alone, carried = _apart(robot)
     fixed = jax.tree_util.tree_map(np.asarray, grouped(scene, robot, by_object=True)), carried
     return in_blocks(_objects(alone, len(scene.object_names)), q, fixed=fixed, double=False)[0] < margin

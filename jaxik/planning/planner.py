@@ -26,7 +26,7 @@ from jaxik.results import Result, by_row
 
 
 class PlanOptions(Options, who="plan_motion"):
-    """How `plan_motion` searches and times."""
+    """The search and the timing of `plan_motion`."""
 
     margin: float = number(default=0.0, unit="m", words="least clearance on the way")
     velocity: Any = per_joint(

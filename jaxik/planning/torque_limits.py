@@ -1,4 +1,4 @@
-"""What limits of torque and power leave of the speed along a path.
+"""The speed along a path that limits of torque and power allow.
 
 Along q(s), with x = (ds/dt)^2 and u = d2s/dt2, the drives give
 
@@ -45,7 +45,7 @@ class Drives(NamedTuple):
 
 
 class Forces(NamedTuple):
-    """Of each part of a path at the moments `WITHIN` of it: tau = by_change u + by_square x + still, and q', each
+    """The terms of tau = by_change u + by_square x + still, and q', at the moments `WITHIN` of each part of a path, each
     (N, parts, w, n)."""
 
     by_change: np.ndarray
@@ -55,8 +55,8 @@ class Forces(NamedTuple):
 
 
 def drives(who: str, robot: Robot, torque: Any, power: Any, gravity: Any) -> Drives:
-    """What is not given is no limit. Raises `ValueError` of `who` as `limit_of` does, for what is no gravity (3,), and for a
-    robot without bodies."""
+    """The drives' limits; one that is None is infinite. Raises `ValueError`, `who` asking, as `limit_of` does, for another
+    gravity than (3,), and for a robot without bodies."""
     most = {"torque": torque, "power": power}
     limits = {k: limit_of(who, k, np.inf if x is None else x, (robot.num_joints,)) for k, x in most.items()}
     found = Drives(robot, **limits, gravity=shaped(f"{who}: gravity", gravity, (3,)))
@@ -66,7 +66,7 @@ def drives(who: str, robot: Robot, torque: Any, power: Any, gravity: Any) -> Dri
 
 
 def forces(limits: Drives, curve: np.ndarray, lengths: np.ndarray, parts: int) -> Forces:
-    """Along pieces (N, k, 4, n), each cut into so many parts."""
+    """The forces along pieces (N, k, 4, n), each cut into so many parts."""
     count, k, _, n = curve.shape
     share = (np.arange(parts)[:, None] + WITHIN) / parts
     s = lengths[:, :, None, None] * share
@@ -76,14 +76,14 @@ def forces(limits: Drives, curve: np.ndarray, lengths: np.ndarray, parts: int) -
 
 
 def _along(limits: Drives, *states: np.ndarray) -> list[np.ndarray]:
-    """`_forces` of states (..., n)."""
+    """`_forces` of states (..., n), each as large."""
     flat = (x.reshape(-1, x.shape[-1]) for x in states)
     return [x.reshape(states[0].shape) for x in in_blocks(_forces(limits.robot), *flat, fixed=(limits.gravity,), double=True)]
 
 
 @host_kernels(3)
 def _forces(robot: Robot, q: Any, slope: Any, bend: Any, gravity: Any) -> Any:
-    """What multiplies u, what multiplies x, and g (n,) [Nm, N], of a path's q, q' and q''."""
+    """The factors of u and of x, and g (n,) [Nm, N], by a path's q, q' and q''."""
     none, still = jnp.zeros_like(q), jnp.zeros(3, q.dtype)
     return (
         inverse_dynamics(robot, q, none, slope, gravity=still),
@@ -117,7 +117,7 @@ def _row(
 
 
 def _tangent(given: Forces, power: np.ndarray, squares: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of the torque that power leaves, its tangent at no speed, and by how much it falls with (ds/dt)^2."""
+    """The tangent of the torque that power leaves: its value at no speed, and by how much it falls with (ds/dt)^2."""
     rate, hold = np.abs(given.slope[:, :, end]), np.abs(given.still[:, :, end])
     with np.errstate(divide="ignore", invalid="ignore"):
         most = (1.5 * power / (HOLDING * hold * rate)) ** 2  # where the tangent is as high at rest
@@ -130,8 +130,8 @@ def _tangent(given: Forces, power: np.ndarray, squares: np.ndarray, end: int) ->
 
 
 def between(at: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """Where next tangents touch, if those at one (ds/dt)^2 lead to another: from rest, power that is told at a speed `c` times
-    too great leaves a torque that leads to one `sqrt(c)` times too small; and here both errors cancel."""
+    """The (ds/dt)^2 at which the next tangents touch, if tangents `at` one lead to another: from rest, a tangent at a speed
+    `c` times too great leaves a torque that leads to a speed `sqrt(c)` times too small; here both errors cancel."""
     return np.cbrt(at * squares**2)
 
 
@@ -141,12 +141,12 @@ def _before(squares: np.ndarray) -> np.ndarray:
 
 
 def can_hold(given: Forces, torque: np.ndarray) -> np.ndarray:
-    """(N,): whether the drives hold the arm at rest all along."""
+    """Whether the drives hold the arm at rest all along (N,)."""
     return (np.abs(given.still) < torque).all(axis=(1, 2, 3))
 
 
 def weakest(limits: Drives, given: Forces, parts: int) -> str:
-    """In words, where on the first way the drives are farthest from holding the arm, whose pieces are of so many parts."""
+    """Says where on the first way, whose pieces have so many parts, the drives are farthest from holding the arm."""
     still = np.abs(given.still[0])
     part, joint = np.unravel_index(np.argmax(still.max(axis=1) / limits.torque), (len(still), still.shape[2]))
     moment = int(np.argmax(still[part, :, joint]))
@@ -156,7 +156,7 @@ def weakest(limits: Drives, given: Forces, parts: int) -> str:
 
 
 def holds(limits: Drives, q: np.ndarray) -> np.ndarray:
-    """(b,): whether the drives hold the arm still in each posture (b, n)."""
+    """Whether the drives hold the arm still in each posture (b, n)."""
     if not np.isfinite(limits.torque).any():
         return np.ones(len(q), bool)
     still = _along(limits, q, np.zeros_like(q), np.zeros_like(q))[2]
@@ -182,24 +182,25 @@ def left(given: Forces, limits: Drives, squares: np.ndarray, step: np.ndarray) -
 
 
 def _beyond(values: np.ndarray) -> np.ndarray:
-    """By how much (N, parts, n) values (N, parts, w, n), and what is between them, are above those at both ends."""
+    """The amount (N, parts, n) by which values (N, parts, w, n), and those between them, exceed both ends."""
     size = np.abs(values)
     return np.maximum(size.max(axis=2) - np.maximum(size[:, :, 0], size[:, :, -1]), 0.0) + _bend(values)
 
 
 def _bend(values: np.ndarray) -> np.ndarray:
-    """By how much (N, parts, n) a curve may be off its chords."""
+    """The most (N, parts, n) that a curve may be off its chords."""
     return np.abs(np.diff(values, 2, axis=2)).max(axis=2) / 8.0
 
 
 def slowdown(given: Forces, limits: Drives, squares: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """(N,): the share of its speed at which each motion keeps the limits, NaN where none does; what accelerates falls with its
-    square."""
+    """The share (N,) of its speed at which each motion keeps the limits, NaN where none does; what accelerates falls with the
+    square of it."""
     return np.array([_share(limits, *each) for each in zip(*measured(given, squares, step), given.still, strict=True)])
 
 
 def least_time(limits: Drives, q: np.ndarray, rate: np.ndarray, bend: np.ndarray) -> np.ndarray:
-    """(N,): how many times as long as in states (N, k, n) motions take within the limits; NaN where they cannot be held."""
+    """The factor (N,) by which motions through states (N, k, n) last longer within the limits; NaN where the arm cannot be
+    held."""
     _, moving, still = _along(limits, q, rate, bend)
     with np.errstate(divide="ignore", invalid="ignore"):
         room = np.nan_to_num(np.maximum(moving / (limits.torque - still), -moving / (limits.torque + still)))

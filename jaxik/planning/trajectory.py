@@ -10,7 +10,8 @@ is known exactly at every moment. Both are pytrees of arrays, and a batch of the
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +22,8 @@ from jaxik.checks.arrays import Array, is_known, numbers
 from jaxik.checks.options import check_finite
 from jaxik.kinematics.motion import Motion
 from jaxik.pytree import Pytree
-from jaxik.reasons import Reason, Reasoned
+from jaxik.reasons import Reason
+from jaxik.results import Result
 
 _ENDLESS = {
     Reason.INVALID: "its path holds what is no finite number",
@@ -70,38 +72,45 @@ class JointPath(Pytree):
         return _along(jnp, self, jnp.asarray(s))
 
 
-class Trajectory(Pytree, Reasoned):
+class Trajectory(Result):
     """A path and its timing: at `time` (m,) [s] the way along the path is `place` (m,), which grows at `speed` (m,) [1/s];
     between these moments the speed is linear in time. Each piece of the path has as many of them as the others.
 
     Its `reason` is SOLVED; INVALID where the path holds NaN; LIMITS where the drives cannot hold the arm still on its way, or
-    the limits let nothing move: it does not end, then. Of a stack each has its own.
+    the limits let nothing move: it does not end, then. Each of a stack has its own.
     """
 
     path: JointPath
     time: Float[Array, "*batch m"]
     place: Float[Array, "*batch m"]
     speed: Float[Array, "*batch m"]
+    ROW: ClassVar = "motion"
+    HELP: ClassVar = _ENDLESS
+
+    @classmethod
+    def stacked(cls, results: Sequence[Trajectory]) -> Trajectory:
+        """A stack of single trajectories, at least one, that have as many pieces and moments."""
+        return jax.tree_util.tree_map(lambda *x: np.stack(x), *results)
 
     @property
     def duration(self) -> Any:
-        """[s]"""
+        """The time that it lasts [s]."""
         return self.time[..., -1]
 
     @property
     def reason(self) -> Any:  # type: ignore[override]
-        """Of each, as numbers."""
+        """The reason of each, as a number."""
         path = [np.asarray(self.path.lengths).sum(axis=-1), np.asarray(self.path.coefficients).sum(axis=(-3, -2, -1))]
         ends, known = np.isfinite(np.asarray(self.duration)), np.isfinite(path).all(axis=0)
         return np.where(ends, int(Reason.SOLVED), np.where(known, int(Reason.LIMITS), int(Reason.INVALID)))
 
     def __repr__(self) -> str:
         if not (isinstance(self.time, np.ndarray | jax.Array) and is_known(self) and np.size(self.time)):
-            return super().__repr__()
+            return Pytree.__repr__(self)
         ends = np.atleast_1d(self.duration)
         short, long = (f"{each.reduce(ends):.4g}" for each in (np.fmin, np.fmax))
         shown = f"{short} s" if np.ndim(self.duration) == 0 else f"{short} to {long} s"
-        return super().__repr__().replace("(", f"(duration={shown}, ", 1)
+        return Pytree.__repr__(self).replace("(", f"(duration={shown}, ", 1)
 
     def at(self, t: Any) -> Motion:
         """The joints' values, velocity and acceleration (..., n) at t (...) [s]; before the start and after the end it stands
@@ -151,7 +160,7 @@ def _along(xp: Any, path: Any, s: Any) -> Any:
 
 
 def _within(xp: Any, path: Any, piece: Any, s: Any) -> Any:
-    """Likewise, s being in that piece."""
+    """q, q' and q'' (..., n) at s (...) inside the given pieces."""
     lengths = xp.asarray(path.lengths)
     c = xp.asarray(path.coefficients)[piece]
     return along_pieces(c, xp.clip(s - (xp.cumsum(lengths)[piece] - lengths[piece]), 0.0, lengths[piece]))

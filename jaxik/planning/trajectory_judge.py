@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from jaxik.optimise import collocation, splines
+from jaxik.optimise.programme import Problem
 from jaxik.planning import torque_limits
 from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker, judged
 from jaxik.planning.trajectory import along_pieces
@@ -36,7 +37,7 @@ class Judge:
         """(b,): whether the drives hold the arm still in each posture (b, n)."""
         return torque_limits.holds(self.options.drives(self.robot), q)
 
-    def kept(self, problem: collocation.Problem, found: collocation.Found) -> np.ndarray:
+    def kept(self, problem: Problem, found: collocation.Found) -> np.ndarray:
         """The reason of each motion (b,) by its limits and targets alone, which are those of the problem."""
         count = len(found.points)
         missed, over = np.zeros(count), np.zeros(count)

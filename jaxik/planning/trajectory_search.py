@@ -13,6 +13,7 @@ from jaxik.collision.scene import Scene
 from jaxik.ik import IKOptions, solve_ik
 from jaxik.kinematics.robot import Robot
 from jaxik.optimise import collocation, splines
+from jaxik.optimise.programme import Problem
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.goals import Ends
 from jaxik.planning.planner import PlanOptions, plan_motion
@@ -176,7 +177,7 @@ class Search:
         soft: bool = False,
         cautious: bool = False,
         used: np.ndarray | None = None,
-    ) -> collocation.Problem:
+    ) -> Problem:
         targets = tuple(dataclasses.replace(target, pose=target.pose[rows]) for target in self.targets)
         terms = self.soft if soft else self.terms
         return terms.problem(

@@ -21,8 +21,8 @@ from jaxik.dynamics.recursions import GRAVITY, inverse_dynamics, mass_matrix
 from jaxik.kinematics.forward import jacobian_columns, joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, POSITION, Task
-from jaxik.optimise import collocation, splines
-from jaxik.optimise.collocation import FAR, Rows
+from jaxik.optimise import programme, splines
+from jaxik.optimise.programme import FAR, Rows
 from jaxik.options import Options, anything, choice, count, flag, instance, number, per_joint
 from jaxik.planning.limits import limit_of, usual
 from jaxik.planning.torque_limits import Drives, drives
@@ -38,7 +38,7 @@ Collision = Literal["constraint", "penalty"]
 
 
 class TrajectoryOptions(Options, who="optimise_trajectory"):
-    """What `optimise_trajectory` minimises and keeps. Degree 2 is the trapezoidal rule of Schuetz 2017, (6.8), and without a
+    """The costs and limits of `optimise_trajectory`. Degree 2 is the trapezoidal rule of Schuetz 2017, (6.8), and without a
     constraint of collision keeps the joints' range at the ends of spans alone; degree 3 has continuous accelerations."""
 
     duration: float | None = number(
@@ -198,7 +198,7 @@ class Terms:
         open_end: bool,
         cautious: bool = False,
         used: np.ndarray | None = None,
-    ) -> collocation.Problem:
+    ) -> programme.Problem:
         """Over so many spans; `extra` (B, spans + 1) [m] is kept beyond the margin at each knot, and of the drives' limits the
         share `used` (B, 1 or spans + 1). Being cautious, a step moves nothing by more than `STRIDE`, and bounds hold between
         knots, too."""
@@ -206,7 +206,7 @@ class Terms:
         count = max((sum(target.task.bound) for target in targets), default=0)
         asked = functools.partial(self._equations, targets, count) if targets else None
         samples = functools.partial(self._samples, 0.0 if extra is None else extra, open_end)
-        return collocation.Problem(
+        return programme.Problem(
             *(self.options.degree, self.duration / spans, self._rows(spans, cautious), samples, asked, at, count, open_end),
             cautious=self._reaches / STRIDE if cautious and self._robots else None,
             loads=self._loads if self.drives.limited else None,
@@ -280,8 +280,8 @@ class Terms:
     def _reaches(self) -> np.ndarray:
         return joint_reaches(self.robot)
 
-    def _samples(self, extra: Any, open_end: bool, q: np.ndarray, rate: np.ndarray, which: np.ndarray) -> collocation.Samples:
-        """What is near configurations (b, k, n) at knots, of problems `which` (b,): what it costs (6.7), and its margins."""
+    def _samples(self, extra: Any, open_end: bool, q: np.ndarray, rate: np.ndarray, which: np.ndarray) -> programme.Samples:
+        """The distances of configurations (b, k, n) at knots of the problems `which` (b,), their costs (6.7) and margins."""
         options, (count, knots, n) = self.options, q.shape
         distances, slopes, near = [], [], []
         for robot, around, activation in self._robots:
@@ -306,9 +306,9 @@ class Terms:
             by_rate = np.sum(share * depth**3, axis=2, keepdims=True) / speed * rate * self._reaches**2
             share = share * speed
         by_distance = -3.0 * share * depth**2 / close, 6.0 * share * depth / close**2
-        return collocation.Samples(slope, share * depth**3, *by_distance, excess, by_rate)
+        return programme.Samples(slope, share * depth**3, *by_distance, excess, by_rate)
 
-    def _loads(self, q: np.ndarray, rate: np.ndarray, bend: np.ndarray, _: np.ndarray) -> collocation.Loads:
+    def _loads(self, q: np.ndarray, rate: np.ndarray, bend: np.ndarray, _: np.ndarray) -> programme.Loads:
         """Torques and powers of states (b, k, n) as shares of their limits, where these are finite, and their slopes."""
         flat = (x.reshape(-1, x.shape[2]) for x in (q, rate, bend))
         torque, slopes = in_blocks(_torques(self.robot), *flat, fixed=(self.drives.gravity,), double=True)
@@ -318,12 +318,12 @@ class Terms:
         both = (torque, slopes, self.drives.torque), (torque * rate, power, self.drives.power)
         kept = [(f[..., np.isfinite(m)], df[:, :, np.isfinite(m)], m[np.isfinite(m)]) for f, df, m in both]
         values, changes = [f / m for f, _, m in kept], [df / m[:, None, None] for _, df, m in kept]
-        return collocation.Loads(np.concatenate(values, axis=2), np.concatenate(changes, axis=2))
+        return programme.Loads(np.concatenate(values, axis=2), np.concatenate(changes, axis=2))
 
     def _equations(
         self, targets: tuple[Target, ...], count: int, q: np.ndarray, multipliers: np.ndarray, which: np.ndarray
-    ) -> collocation.Equations:
-        """By how much configurations (b, j, n) miss their targets, padded to `count` rows each."""
+    ) -> programme.Equations:
+        """The amounts by which configurations (b, j, n) miss their targets, padded to `count` rows each."""
         parts = []
         for j, target in enumerate(targets):
             bound = sum(target.task.bound)
@@ -331,7 +331,7 @@ class Terms:
             residual, slopes, bend = in_blocks(_reached(self.robot, target.task), *asked, double=True)
             more = ((0, 0), (0, count - bound))
             parts.append((np.pad(residual, more), np.pad(slopes, (*more, (0, 0))), bend))
-        return collocation.Equations(*(np.stack(each, axis=1) for each in zip(*parts, strict=True)))
+        return programme.Equations(*(np.stack(each, axis=1) for each in zip(*parts, strict=True)))
 
 
 @host_kernels(1)

@@ -136,7 +136,7 @@ def blended(space: CollisionChecker, waypoints: np.ndarray) -> JointPath:
 
 
 def _shares(space: CollisionChecker, waypoints: np.ndarray, along: np.ndarray, shorter: np.ndarray) -> np.ndarray:
-    """How far from each inner waypoint its bend begins (k-2,), 0 of a corner that stays."""
+    """The distance from each inner waypoint at which its bend begins (k-2,); 0 where the corner stays."""
     if not len(shorter):
         return shorter
     tried = SHARES * shorter[:, None]  # (corners, shares)

@@ -36,7 +36,7 @@ def test_around_a_pole(arm, margin):
 
 
 def _stopping(moved):
-    """How long it would take to stop at each corner [s]."""
+    """The time with a stop at each corner [s]."""
     return jaxik.planning.time_path(moved.waypoints, velocity=2.0, acceleration=8.0).duration
 
 
@@ -76,7 +76,7 @@ def test_the_turns_that_a_joint_has_made_make_no_difference(arm, turns):
 
 @pytest.mark.parametrize("name", ["ur5e", "ur10e_rail"])
 def test_to_a_pose_goes_the_posture_that_is_soonest(name):
-    """Of the pose of a posture near the start no further one is taken, whatever turns it has; nor from where the pose is."""
+    """The pose of a posture near the start takes no further one, whatever turns it has; where it has the pose, it stays."""
     robot, rng = jaxik.load(name), np.random.default_rng(7)
     low, high = np.clip(robot.lower, -2.0, 2.0), np.clip(robot.upper, -2.0, 2.0)
     starts = rng.uniform(low, high, (12, robot.num_joints))

@@ -27,7 +27,7 @@ def _waypoints(count, seed=0, size=1.0):
 
 
 def _dense(moved, count=4000):
-    """At so many moments, by NumPy, in float64: samples whose period is a part of the duration."""
+    """The states at so many moments, by NumPy, in float64."""
     return moved.sample(float(moved.duration) / count)
 
 
@@ -110,7 +110,7 @@ def test_an_s_curve_is_as_fast_as_its_limits_allow(velocity, acceleration, jerk,
 
 @pytest.mark.parametrize(("limits", "known"), [((1.0, 99.0), 15.0 / 8.0), ((99.0, 1.0), np.sqrt(10.0 / np.sqrt(3.0)))])
 def test_a_quintic_of_two_points_is_the_text_book_s(limits, known):
-    """Of a metre, by its greatest velocity or acceleration; by jerk, 60 at its ends."""
+    """A metre, limited by its greatest velocity or acceleration; or by jerk, 60 at its ends."""
     moved = _profile("quintic", [[0.0], [1.0]], limits)
     assert moved.duration == pytest.approx(known, rel=1e-9)
     assert _profile("quintic", [[0.0], [1.0]], (99.0, 99.0, 1.0)).duration == pytest.approx(np.cbrt(60.0), rel=1e-9)

@@ -114,7 +114,7 @@ def test_waypoints_are_joined_by_straight_lines():
     together = time_path(points, velocity=VELOCITY, acceleration=ACCELERATION, places=60)
     alone = time_path(JointPath.polyline(points[0]), velocity=VELOCITY, acceleration=ACCELERATION, places=60)
     np.testing.assert_array_equal(together.time[0], alone.time)
-    assert together.reasons.tolist() == ["solved", "invalid"]
+    assert together.counts() == {"solved": 1, "invalid": 1} and together.success.tolist() == [True, False]
     one = time_path(points[0], velocity=VELOCITY, acceleration=ACCELERATION, places=60)
     np.testing.assert_array_equal(one.time, alone.time)
 
@@ -255,7 +255,7 @@ def test_files_hold_a_motion_that_stands_still(tmp_path, file):
 
 @pytest.mark.parametrize("file", ["x.csv", "x.npz", "x.json"])
 def test_files_hold_a_log(tmp_path, file):
-    """What was measured at its own times, of a robot by its joints' names; ROS' message has no currents."""
+    """A log keeps its own times, and a robot its joints' names; ROS' message has no currents."""
     robot, rng = jaxik.load("planar2"), np.random.default_rng(0)
     q, torque, current = rng.normal(size=(3, 5, 2))
     log = Motion(q, time=np.array([0.0, 0.1, 0.2, 0.4, 0.5]), torque=torque, current=current)
@@ -276,7 +276,7 @@ def _torques(robot, moved):
 
 
 def test_within_torque_as_fast_as_toppra():
-    """Which meets its limits at its grid alone."""
+    """Toppra meets its limits at its grid alone."""
     robot, torque = jaxik.load("crops_v2"), np.array([700.0, 120.0, 120.0, 60.0, 30.0, 20.0, 8.0, 8.0, 4.0])
     points = np.random.default_rng(0).uniform(-0.8, 0.8, (2, 5, 9)) + 0.4 * np.eye(9)[0]
     velocity = np.full(9, 5.0)
@@ -346,10 +346,12 @@ def test_drives_that_cannot_hold_the_arm_are_named(tmp_path):
     high = JointPath.polyline([[0.0, -1.3], [0.0, -1.25], [0.0, -1.2]])
     unknown = JointPath(path.lengths * np.nan, path.coefficients)
     moved = time_path(_stacked([path, high, unknown]), robot=robot, torque=0.95 * most)
-    assert moved.reasons.tolist() == ["limits", "solved", "invalid"]
+    assert [why.split(";")[0] for why in moved.why] == ["limits", "solved", "invalid"]
+    assert [bool(each) for each in moved] == [False, True, False] and len(moved) == 3
+    assert moved[1][:].path.lengths.shape == (1, 2) and moved[1:].time.shape == moved.time[1:].shape
     assert np.isfinite(moved.duration).tolist() == [False, True, False]
     alone = time_path(high, robot=robot, torque=0.95 * most)
-    assert alone.reasons == "solved" and alone.duration == moved.duration[1]
+    assert alone.why == "solved" and alone.duration == moved.duration[1]
     for row, said in ((0, "lasts nan s; its drives cannot hold the arm still"), (2, "lasts nan s; its path holds what is no")):
         with pytest.raises(ValueError, match=said):
             save_trajectory(_row(moved, row), tmp_path / "x.csv", robot=robot, dt=0.01)
@@ -392,7 +394,7 @@ def test_a_trajectory_is_shown_with_its_duration():
 
 @pytest.mark.parametrize("power", [1.0, 10.0])
 def test_a_weight_is_lifted_at_constant_power(power):
-    """It rises by P / (m g), and nearly all the time is spent at that; there is little to speed up."""
+    """The weight rises by P / (m g), and nearly all the time is spent at that; there is little to speed up."""
     robot = jaxik.load("crops_v2").part(0, 1).mounted(np.eye(4))
     steady = 0.8 * 9.81 * float(robot.bodies[0].mass) / power
     moved = time_path(

@@ -83,7 +83,7 @@ _states = jax.jit(lambda trajectory, time: jax.vmap(trajectory.at)(time))
 
 
 def sampled(trajectory, time):
-    """Its states (t, n)."""
+    """The states (t, n)."""
     return jax.tree_util.tree_map(np.asarray, _states(trajectory, jnp.asarray(time)))
 
 
@@ -160,7 +160,7 @@ def test_as_good_as_scipy(arm):
 
 
 def test_within_torque_and_power_as_good_as_scipy():
-    """At knots, as both have it there; and what is returned keeps the limits between them."""
+    """Both have the limits at knots; the motion that is returned keeps them between knots, too."""
     robot, start, end, spans, duration = jaxik.load("crops_v2").part(0, 3), [0.2, 0.0, 0.0], [0.6, 0.8, -0.7], 12, 0.6
     torque, power, span = np.array([603.0, 12.6, 27.9]), np.array([268.0, 9.6, 20.6]), duration / spans
     options = {"duration": duration, "velocity": 9.0, "collision": False, "torque": torque, "power": power}
@@ -338,7 +338,7 @@ def test_reasons(arm):
 
 
 def test_a_robot_without_shapes():
-    """It moves as one with shapes does that has nothing to hit, and nothing is asked of shapes."""
+    """The robot moves as one with shapes does that has nothing to hit."""
     robot, ends = jaxik.load("crops_v2").part(0, 3), ([0.2, 0.0, 0.0], [0.6, 0.8, -0.7])
     bare = dataclasses.replace(robot, boxes=(), volumes=(), self_pairs=())
     options = {"collision": False, "spans": 12, "duration": 0.6, "velocity": 9.0, "torque": [603.0, 12.6, 27.9]}
