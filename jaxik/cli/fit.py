@@ -13,7 +13,7 @@ import jaxik
 from jaxik.cli.progress import progress_bar
 from jaxik.cli.results import check_writable, naming, print_table
 from jaxik.cli.robot_arguments import Checked, RobotArguments, checked_pairs
-from jaxik.files.notes import listed
+from jaxik.files.robot_builder import listed
 from jaxik.files.unchecked_pairs import unchecked
 
 HEADINGS = ("link", "mesh", "parts", "volumes", "closed", "coverage", "protrusion", "mean", "false collisions")

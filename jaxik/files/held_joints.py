@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxik.checks.options import among
-from jaxik.files.notes import listed
-from jaxik.files.robot_builder import Joint, checked, displacement
+from jaxik.files.robot_builder import Joint, checked, displacement, listed
 from jaxik.fitting.report import HeldJoint
 from jaxik.reasons import LoadError
 

@@ -18,7 +18,7 @@ from jaxik.files import scene as scene_files
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, as_packages
 from jaxik.files.mjcf import load_mjcf
-from jaxik.files.notes import Notes
+from jaxik.files.robot_builder import Notes
 from jaxik.files.robot_files import read_robot
 from jaxik.files.robot_toml import load_toml, read_toml
 from jaxik.files.shipped import locate

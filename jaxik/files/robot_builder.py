@@ -1,4 +1,7 @@
-"""Makes a robot of a run of joints from base to tip, which every robot file becomes; checks it in one place."""
+"""Makes a robot of a run of joints from base to tip, which every robot file becomes; checks it in one place.
+
+`Notes` collects what a file says and its robot cannot hold, a line of warning each; and the links that it lets pass.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +15,44 @@ from typing import Any, BinaryIO, get_args
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from jaxik.checks.options import among
-from jaxik.files.notes import listed
+from jaxik.checks.options import among, shown
 from jaxik.kinematics.drive import Drive, Friction
 from jaxik.kinematics.robot import Body, JointType, Robot
 from jaxik.kinematics.shapes import Box, Volume
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import about, frame
 
+NAMED = 4  # in one line
 LEAVES = 40  # that a line names
 MAX_BYTES = 16 * 2**20  # of a robot or scene file; a mesh may have four times that
 COLUMNS = ("axis", "lower", "upper", "velocity", "effort", "armature")  # numbers of a joint that a robot has, too
 JOINT_TYPES = (*get_args(JointType), "fixed")
+
+
+@dataclasses.dataclass
+class Notes:
+    """Lines to tell (`told`: what is so, of which joints or links), pairs of links that the file does not check (`apart`), and
+    all links that it has, those that are no part of the chain, too."""
+
+    told: dict[str, list[str]] = dataclasses.field(default_factory=dict)
+    apart: set[frozenset[str]] = dataclasses.field(default_factory=set)
+    links: tuple[str, ...] = ()
+
+    def add(self, told: str, *names: str) -> None:
+        """Adds that something is so of more names."""
+        self.told.setdefault(told, []).extend(names)
+
+    def lines(self) -> Iterable[str]:
+        """One for each thing that is so: of whom, and what."""
+        for told, names in self.told.items():
+            yield f"{listed(names)}: {told}" if names else told
+
+
+def listed(names: Iterable[str], most: int = NAMED) -> str:
+    """The first few of some names, and how many there are."""
+    every = [*names]
+    rest = f", ... ({len(every)} in all)" if len(every) > most else ""
+    return ", ".join(map(shown, every[:most])) + rest
 
 
 @dataclasses.dataclass

@@ -11,8 +11,7 @@ import numpy as np
 
 from jaxik.checks.options import check_finite, check_kind, shown
 from jaxik.collision.volumes import LEVELS
-from jaxik.files.notes import listed
-from jaxik.files.robot_builder import all_or_none, unique
+from jaxik.files.robot_builder import all_or_none, listed, unique
 from jaxik.files.robot_toml import CORNERS, Table, read_drive
 from jaxik.files.spherized import spherized
 from jaxik.files.unchecked_pairs import check_ours, write_disabled

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from jaxik.collision.volumes import box_spheres
-from jaxik.files.notes import listed
+from jaxik.files.robot_builder import listed
 from jaxik.kinematics.drive import Drive
 from jaxik.kinematics.robot import Body, Robot
 from jaxik.spatial.rotations import to_rpy

@@ -10,7 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from jaxik.checks.options import among, nearest, shown
-from jaxik.files.notes import Notes
+from jaxik.files.robot_builder import Notes
 from jaxik.files.writing import write_text
 from jaxik.files.xml import attribute, parse
 from jaxik.fitting.links import Asked

@@ -12,8 +12,7 @@ from numpy.polynomial import Polynomial
 from jaxik.checks.options import among
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, read_mesh
-from jaxik.files.notes import Notes
-from jaxik.files.robot_builder import JOINT_TYPES, Joint, Link, all_driven, assemble, rubbing, symmetric, unique, way_up
+from jaxik.files.robot_builder import JOINT_TYPES, Joint, Link, Notes, all_driven, assemble, rubbing, symmetric, unique, way_up
 from jaxik.files.robot_toml import TURNS
 from jaxik.files.xml import XACRO, attribute, number, numbers, parse
 from jaxik.kinematics.robot import Robot
