@@ -166,7 +166,7 @@ VIEWS = (2, "z", "from the robot"), (1, "y", "from above")
 
 
 def plot_harvest_plan(plan: HarvestPlan, path: str | Path) -> None:
-    """Draws one picture (PNG) of the row from the robot and from above: how the tip moves, and when each fruit is picked. Host."""
+    """Draws one picture (PNG) of the row from the robot and from above: how the tip moves, when each fruit is picked. Host."""
     from matplotlib.figure import Figure
 
     paths = _paths(plan)
