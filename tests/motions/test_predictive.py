@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -17,7 +18,7 @@ from jaxik.costs import energy_cost, quadratic_cost
 from jaxik.dynamics.recursions import inverse_dynamics, mass_matrix
 from jaxik.kinematics.robot import Body
 from jaxik.motions.nullspace import Box, resolve
-from jaxik.motions.path import Arc, Curve, Line, TipMotion
+from jaxik.motions.path import Arc, Curve, Line, Path, TipMotion
 from jaxik.motions.predictive import PredictOptions, future, objective, predict, problem
 from jaxik.optimise import ocp
 from jaxik.optimise.descent import QUASI_NEWTON, DescentOptions
@@ -164,6 +165,26 @@ def test_a_path_of_another_shape_is_refused(path, name, value, words):
     path = eqx.tree_at(lambda p: getattr(p, name), path, value)  # as without the types that tests check
     with pytest.raises(ValueError, match=words):
         path.at(0.5, 1.0)
+
+
+class Wave(Path):
+    """A sine wave beside a line."""
+
+    start: Any
+    height: Any
+
+    def pose(self, s):
+        return self.start[:3, 3] + jnp.stack([s, self.height * jnp.sin(2.0 * s), 0.0 * s]), self.start[:3, :3] + 0.0 * s
+
+
+def test_a_path_of_ones_own(panda):
+    q = np.array([0.3, 0.2, -0.4, -1.5, 0.5, 1.6, 0.4])
+    path = Wave(pinocchio(panda)(q), 0.1)
+    middle = path.at(1.0, 2.0)  # s = 1/2, with ds/dt = 15/8 over 2 s
+    np.testing.assert_allclose(middle.velocity[:3], 15.0 / 16.0 * np.array([1.0, 0.2 * np.cos(1.0), 0.0]), atol=1e-12)
+    np.testing.assert_allclose(
+        middle.acceleration[:3], (15.0 / 16.0) ** 2 * np.array([0.0, -0.4 * np.sin(1.0), 0.0]), atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, np.nan, np.inf])
@@ -388,6 +409,8 @@ def test_the_tip_is_held_unless_told_otherwise(dt, most, pendulum):
 
 
 def test_mistakes_are_one_line(pendulum, line):
+    with pytest.raises(ValueError, match="u and a cost; give one of them"):
+        resolve(pendulum, START, line.at(0.5, 1.0), u=START, cost=jnp.sum)
     with pytest.raises(ValueError, match=r"gain 60.0; allowed: .*0 <= gain dt < 2"):
         PredictOptions(dt=0.04, gain=60.0)
     with pytest.raises(ValueError, match="level 'force'; allowed: velocity, acceleration"):
