@@ -123,7 +123,7 @@ def _searched_for(problem: Problem, valid: np.ndarray) -> Outcome:
             problem, stages = _of_the_rest(problem)
     if OPEN in reason:
         compile_finisher(settling(problem), problem.robot.num_joints)
-    for number, waves in enumerate(stages):
+    for number, waves in enumerate(stages if OPEN in reason else ()):
         worth = misses.close(reason) if number else np.ones(len(reason), bool)
         while waves and len(left := np.flatnonzero(worth & (reason == OPEN))):
             wave, waves = _joined_waves(waves, len(left))
