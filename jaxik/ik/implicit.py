@@ -74,12 +74,12 @@ def implicit_ik(
 
     t = [leaves[i] for i in traced]
     bounds = (jnp.asarray(b, dtype) for b in (robot.lower, robot.upper))
-    found = implicit(Program(least, equality, inequality), q, t, *bounds)
+    moving, defined = implicit(Program(least, equality, inequality), q, t, *bounds)
     if curved or not looked:
-        return ImplicitIK(*found)
+        return ImplicitIK(moving, defined)
     its_robot, _, its_scene, _ = whole(lax.stop_gradient(t))
     away = link_clearances(its_robot, its_scene, lax.stop_gradient(q)) - lax.stop_gradient(margin)
-    return ImplicitIK(found.x, found.defined & jnp.all(away > 1e-4))
+    return ImplicitIK(moving, defined & jnp.all(away > 1e-4))
 
 
 def _curved_rightly(robot: Robot, scene: Scene | None) -> bool:

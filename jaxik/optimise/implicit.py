@@ -12,7 +12,7 @@ with x on its active bounds held; so by the implicit function theorem [Fiacco 19
     | C     0    0  | | dz |     | d c_a       |
 
 That is a derivative only where the matrix is regular and no active constraint has a zero multiplier (beyond it the solution
-would leave it on one side only); `Implicit.defined` says so.
+would leave it on one side only), and `implicit` says so.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Bool, Float
 
 from jaxik.spmd import kernel
 
@@ -34,13 +33,6 @@ class Program(NamedTuple):
     cost: Callable[[Any, Any], Any]
     equality: Callable[[Any, Any], Any]
     inequality: Callable[[Any, Any], Any]
-
-
-class Implicit(NamedTuple):
-    """A solution that may be differentiated by t, and whether it has a derivative there."""
-
-    x: Float[jax.Array, "*b n"]
-    defined: Bool[jax.Array, "*b"]
 
 
 class _System(NamedTuple):
@@ -54,10 +46,11 @@ class _System(NamedTuple):
     defined: Any
 
 
-def implicit(program: Program, x: Any, t: Any, low: Any, high: Any) -> Implicit:
-    """`x` (n,), whose derivative by `t` (a pytree) is that of the solution; the one by `x` itself is 0."""
+def implicit(program: Program, x: Any, t: Any, low: Any, high: Any) -> tuple[Any, Any]:
+    """Returns `x` (n,), whose derivative by `t` (a pytree) is that of the solution, the one by `x` itself being 0; and whether
+    it is defined."""
     system = jax.lax.stop_gradient(_system(program, *jax.lax.stop_gradient((x, t, low, high))))
-    return Implicit(_solution(program, x, t, system), system.defined)
+    return _solution(program, x, t, system), system.defined
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))

@@ -60,6 +60,14 @@ def grid(axes: list[np.ndarray]) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
+def as_poses(who: str, poses: Any) -> np.ndarray:
+    """The poses (N, 4, 4) in float64. Raises `ValueError` for another shape."""
+    given = numbers(f"{who}: poses", poses)
+    if given.ndim != 3 or given.shape[1:] != (4, 4):
+        raise ValueError(f"{who}: poses of shape {given.shape}; allowed: (N, 4, 4)")
+    return given
+
+
 class Postures(NamedTuple):
     """The postures of poses over the leading joints, in the order of pose, slide and branch: q (c, n) [m, rad], the numbers
     (c,) of their pose, of the row of `slides` (m, k), and of their branch in `closed_form`, and whether each (c,) is inside the
@@ -80,11 +88,8 @@ def postures_over(robot: Robot, poses: Any, *, slides: Any = 11) -> Postures:
     All poses are asked at all positions which branches have the pose, inside the limits or not; only these are solved. Raises
     `ValueError` for another shape, and where the robot has no closed form.
     """
-    given = numbers("postures_over: poses", poses)
-    if given.ndim != 3 or given.shape[1:] != (4, 4):
-        raise ValueError(f"postures_over: poses of shape {given.shape}; allowed: (N, 4, 4)")
-    leading = leading_grid(robot, slides)
-    some, lead, count = given.astype(np.float32), leading.astype(np.float32), len(leading)
+    some, leading = as_poses("postures_over", poses).astype(np.float32), leading_grid(robot, slides)
+    lead, count = leading.astype(np.float32), len(leading)
     cell = lambda pair: (some.take(pair // count, axis=0), lead.take(pair % count, axis=0))
     pairs = np.arange(len(some) * count, dtype=np.int32)
     (bits,) = in_blocks(valid_branches(robot), pairs, double=False, rows=cell)

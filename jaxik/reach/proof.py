@@ -11,19 +11,18 @@ from __future__ import annotations
 
 import functools
 import itertools
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxik.analytic.families import Solver, solver_of
-from jaxik.checks.arrays import numbers
 from jaxik.checks.options import as_count
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.joint_turns import TURN
 from jaxik.kinematics.reach_bound import ReachBound, reach_bound
 from jaxik.kinematics.robot import Robot
-from jaxik.reach.leading_joints import arm_of, grid, may_be_inside, whole_turns
+from jaxik.reach.leading_joints import arm_of, as_poses, grid, may_be_inside, whole_turns
 from jaxik.reasons import Reason
 from jaxik.results import Result
 from jaxik.spatial.algebra import Frame
@@ -54,14 +53,6 @@ class ReachProof(Result):
     HELP: ClassVar = {Reason.NOT_CONVERGED: "raise refine, or slides"}
 
 
-class _Found(NamedTuple):
-    """The leading positions and branches that were found so far, and which targets are open: neither found nor excluded."""
-
-    slide: np.ndarray
-    branch: np.ndarray
-    open: np.ndarray
-
-
 def prove_reach(robot: Robot, poses: Any, *, slides: int = 41, refine: int = 5) -> ReachProof:
     """Finds postures for the poses `base_T_tip` (N, 4, 4) [m] between the positions of a grid of the leading joints, `slides`
     for each, or proves that they have none. Host driver.
@@ -71,21 +62,18 @@ def prove_reach(robot: Robot, poses: Any, *, slides: int = 41, refine: int = 5) 
     not. In float64. Raises `ValueError` for other shapes, and where the robot has no closed form.
     """
     solver, slides, refine = solver_of(robot), as_count("slides", slides), as_count("refine", refine, least=0)
-    poses = numbers("prove_reach: poses", poses)
-    if poses.ndim != 3 or poses.shape[1:] != (4, 4):
-        raise ValueError(f"prove_reach: poses of shape {poses.shape}; allowed: (N, 4, 4)")
-    k, valid = len(solver.limits()[0]), np.isfinite(poses).all(axis=(1, 2))
-    found = _Found(np.full((len(poses), k), np.nan), np.full(len(poses), -1), np.zeros(len(poses), bool))
+    poses, k = as_poses("prove_reach", poses), len(solver.limits()[0])
+    unless_found = Reason.OUT_OF_REACH if solver.proves else Reason.NOT_CONVERGED
+    reason = np.where(np.isfinite(poses).all(axis=(1, 2)), unless_found, Reason.INVALID)
+    found = ReachProof(np.full((len(poses), k), np.nan), np.full(len(poses), -1), reason)
     for start in range(0, len(poses), PORTION) if k else ():  # six joints have all their postures
         part = slice(start, start + PORTION)
-        _search(robot, poses[part], slides, refine, _Found(*(column[part] for column in found)))
-    found.open[found.branch < 0] |= not solver.proves
-    reason = np.where(found.open, Reason.NOT_CONVERGED, np.where(found.branch < 0, Reason.OUT_OF_REACH, Reason.SOLVED))
-    return ReachProof(found.slide, found.branch, np.where(valid, reason, Reason.INVALID))
+        _search(robot, poses[part], slides, refine, found[part])
+    return found
 
 
-def _search(robot: Robot, poses: np.ndarray, slides: int, refine: int, found: _Found) -> None:
-    """Fills `found` for a portion of targets."""
+def _search(robot: Robot, poses: np.ndarray, slides: int, refine: int, found: ReachProof) -> None:
+    """Fills in what is found for a portion of targets."""
     arm = arm_of(robot)
     centres, half = _cells(robot, slides)
     cells = lambda target, centre: (poses[target], centre)
@@ -103,6 +91,7 @@ def _search(robot: Robot, poses: np.ndarray, slides: int, refine: int, found: _F
         hits = hits[np.unique(target[cell[hits]], return_index=True)[1]]
         first = cell[hits]
         found.slide[target[first]], found.branch[target[first]] = centre[first], 2 * way[hits] + wrist[hits]
+        found.reason[target[first]] = Reason.SOLVED
         left = np.zeros(len(target), bool)
         left[cell[open_]] = True
         left &= found.branch[target] < 0
@@ -111,7 +100,7 @@ def _search(robot: Robot, poses: np.ndarray, slides: int, refine: int, found: _F
             target = np.repeat(target, len(halves))
             centre = (centre[:, None] + halves * half).reshape(-1, centre.shape[1])
             half = half / 2.0
-    found.open[target] = True
+    found.reason[target] = Reason.NOT_CONVERGED
 
 
 def beyond(robot: Robot, poses: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.analytic.solutions import BRANCHES, closed_forms
-from jaxik.checks.arrays import Array, as_numbers, as_shaped, numbers
+from jaxik.checks.arrays import Array, as_numbers, as_shaped
 from jaxik.checks.options import as_count, check_finite
 from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.clearances import check_geometry, clearance
@@ -25,7 +25,7 @@ from jaxik.ik.problem import is_looked_at
 from jaxik.kinematics.forward import forward_kinematics, jacobian
 from jaxik.kinematics.robot import Robot
 from jaxik.optimise.linear import definite_solve
-from jaxik.reach.leading_joints import arm_of, leading_grid
+from jaxik.reach.leading_joints import arm_of, as_poses, leading_grid
 from jaxik.spmd import kernel
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
@@ -141,10 +141,10 @@ def likely_postures(
     It is for robots with a closed form; others take the answers of `solve_ik`. Without a scene the robot keeps clear of itself;
     with `collision=False` no clearance counts. Raises `ValueError` where the robot has no closed form, or no pose is one.
     """
-    poses, count = numbers("poses", poses), as_count("likely_postures: count", count)
+    poses, count = as_poses("likely_postures", poses), as_count("likely_postures: count", count)
     check_finite("likely_postures", margin=margin)
-    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not np.isfinite(poses).all(axis=(1, 2)).any():
-        raise ValueError(f"poses of shape {poses.shape} hold no finite frame; give (a, 4, 4), world_T_tip")
+    if not np.isfinite(poses).all(axis=(1, 2)).any():
+        raise ValueError(f"likely_postures: poses {poses.shape} hold no finite frame; give (a, 4, 4), world_T_tip")
     if scene is not None:
         check_geometry(robot)
     leading = leading_grid(robot, slides)
