@@ -166,7 +166,7 @@ def _at_home(robot: Robot) -> Robot:
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# By the closed form
+# Answers by the closed form
 
 
 class _Best(NamedTuple):
@@ -359,7 +359,7 @@ def _most(owner: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# By search
+# Answers by search
 
 
 def _search(study: Study, robot: Robot, poses: np.ndarray, valid: np.ndarray, around: _Around | None) -> Columns:

@@ -211,7 +211,7 @@ def test_threads_that_are_not_there(entry, pool, destroyed, tasks):
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# What a kernel leaves as it was
+# State that a kernel leaves as it was
 
 
 def test_denormals_are_flushed_inside_only():

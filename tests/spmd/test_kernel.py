@@ -336,7 +336,7 @@ def test_several_devices():
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# What a kernel cannot do
+# Limits of a kernel
 
 REFUSED = {
     "callback": (

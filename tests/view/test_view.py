@@ -65,7 +65,7 @@ def test_a_cell_without_a_fruit_is_shown(tmp_path):
     page.close()
 
 
-# What eyes without green or without red cones see of linear RGB: Machado, Oliveira, Fernandes 2009, table 1, severity 1.
+# Linear RGB as eyes without green or without red cones see it: Machado, Oliveira, Fernandes 2009, table 1, severity 1.
 DEUTERANOPIA = [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
 PROTANOPIA = [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
 XYZ = [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
