@@ -292,7 +292,7 @@ POST = """<robot name="arm"><link name="base"/>
 
 
 def test_a_later_link_may_be_nearer_to_the_base(tmp_path):
-    """What is fixed beside an arm is its last link; distances to it fall and rise with all joints before the other link."""
+    """The post fixed beside the arm is its last link; distances to it fall and rise with all joints before the other link."""
     (tmp_path / "arm.urdf").write_text(POST)
     robot = jaxik.load(tmp_path / "arm.urdf", tip="fore")
     assert [robot.link_names[i] for i in robot.self_pairs[0]] == ["fore", "post"]
@@ -431,7 +431,7 @@ def test_no_robot_is_hidden_by_nan(part):
 
 
 def test_what_is_grouped_belongs_to_a_robot():
-    """What a robot ignores is written into the obstacles that are made for it; no other may take them."""
+    """The pairs that a robot ignores are written into the obstacles made for it; no other may take them."""
     arm, scene = jaxik.load("planar2"), jaxik.make_scene(spheres=[[1.5, 0.2, 0.0, 0.1]])
     apart = jaxik.load("planar2", ignore=["link1", "link2"])
     assert jaxik.clearance(apart, grouped(scene, apart), np.zeros(2)) == np.inf

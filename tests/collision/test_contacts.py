@@ -1,4 +1,4 @@
-"""What stands in the way, by name: pairs against coal, the first pair against the clearance."""
+"""The names of what stands in the way: pairs against coal, the first pair against the clearance."""
 
 import dataclasses
 

@@ -60,7 +60,7 @@ def arm(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def bare(arm):
-    """As its volumes alone know it."""
+    """The arm as its volumes alone know it."""
     return dataclasses.replace(arm, convex_parts=())
 
 
@@ -130,7 +130,7 @@ def test_no_collision_of_meshes_is_missed(arm, bare):
 
 
 def test_its_gradient_is_a_difference(arm):
-    """Of the parts' distance in q, wherever the nearest points stay on the same features; in the scene's numbers, too."""
+    """The gradient in q is the parts', wherever the nearest points stay on the same features; in the scene's numbers, too."""
     q, step = drawn(arm, 600, 3), 1e-6
     value = lambda q: jaxik.clearance(arm, SCENE, q)
     slopes, there = measured(jax.grad(value), q), measured(value, q)
@@ -205,8 +205,8 @@ def test_what_is_swallowed_collides(arm):
 
 
 def test_motions_are_proven_by_the_parts(arm):
-    """Of motions in the scene, those that are proven free keep clear by coal at 60 configurations; those that are not come
-    within the resolution of touching."""
+    """Motions in the scene that are proven free keep clear by coal at 60 configurations; those that are not come within the
+    resolution of touching."""
     q = drawn(arm, 4000, 6)
     clear = measured(lambda q: jaxik.clearance(arm, SCENE, q), q)
     first = q[clear > 0.002][:50]

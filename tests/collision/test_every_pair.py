@@ -60,7 +60,7 @@ def reach(kind, rows, n):
 
 
 def apart(corners, kind, rows, n):
-    """By how far the two are apart along directions (COUNT, m, 3)."""
+    """The distance of the two along directions (COUNT, m, 3)."""
     return np.min(n @ np.swapaxes(corners, 1, 2), axis=2) - RADIUS - reach(kind, rows, n)
 
 
@@ -87,7 +87,7 @@ PAIRS = pytest.mark.parametrize("kind, volume", [(kind, volume) for kind in SOLI
 
 @PAIRS
 def test_a_distance_is_the_most_of_all_directions(kind, volume):
-    """It is attained along its own slope, a direction of length 1; and none of thousands, nor SciPy's best, has more."""
+    """The distance is attained along its own slope, a direction of length 1; none of thousands, nor SciPy's best, has more."""
     corners, rows = placed(VOLUMES[volume], kind, 1)
     ours, slopes = measured(corners, kind, rows)
     out = slopes.sum(axis=1)

@@ -20,7 +20,7 @@ from jaxik.kinematics import link_frames
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
-    """By a model of its hulls alone, and exact."""
+    """The arm by a model of its hulls alone, and exact."""
     path = arm_file(tmp_path_factory.mktemp("arm"))
     fit = jaxik.FitOptions(parts=1)
     return dataclasses.replace(jaxik.load(path, meshes=True, fit=fit), convex_parts=()), jaxik.load(
@@ -29,7 +29,7 @@ def arm(tmp_path_factory):
 
 
 def agrees(found, volumes, true):
-    """What an exact robot's distance is: its volumes' beyond 25 mm, the meshes' own below, at most that, and less than 0 where
+    """Checks an exact robot's distance: its volumes' beyond 25 mm, the meshes' own below, at most that, and less than 0 where
     these cross. Each of them is among the cases."""
     far, crossing = volumes >= WITHIN, true == 0.0
     assert min(far.sum(), crossing.sum(), (~far & ~crossing).sum()) > 10
@@ -40,7 +40,7 @@ def agrees(found, volumes, true):
 
 
 def test_it_is_as_far_from_itself_as_its_meshes_are(arm):
-    """In 400 configurations; its volumes alone call some of them collisions that are none."""
+    """Distances agree in 400 configurations; the volumes alone call some of them collisions that are none."""
     _, exact = arm
     q = drawn(exact, 400)
     truth = Truth(exact, q)
@@ -56,7 +56,7 @@ def test_it_is_as_far_from_itself_as_its_meshes_are(arm):
 
 
 def test_it_is_as_far_from_a_scene_as_its_meshes_are(arm):
-    """From a box, a ball and a capsule, all of which coal knows."""
+    """The distance from a box, a ball and a capsule, all of which coal knows, is the meshes'."""
     _, exact = arm
     q = drawn(exact, 400, 1)
     truth = Truth(exact, q)
@@ -97,8 +97,8 @@ def test_nothing_is_near_where_nothing_is_checked(arm):
 
 
 def test_motions_are_proven_by_the_meshes(arm):
-    """Of motions in the scene, those that are proven free keep clear at 100 configurations, and those that are not come within
-    the resolution; some are free by the meshes alone."""
+    """Motions in the scene that are proven free keep clear at 100 configurations, and those that are not come within the
+    resolution; some are free by the meshes alone."""
     model, exact = arm
     q = drawn(exact, 8000, 5)
     volumes, meshes = (measured(partial(jaxik.clearance, robot, SCENE), q) for robot in arm)
@@ -209,7 +209,7 @@ def test_what_closes_once_it_is_turned_swallows_too(tmp_path):
 
 
 def test_it_is_refused_without_meshes(arm):
-    """In one line; and so is a link that has volumes and no surface."""
+    """Exact without meshes is refused in one line; and so is a link that has volumes and no surface."""
     _, exact = arm
     with pytest.raises(ValueError, match="has no meshes; leave it out"):
         jaxik.load("panda", meshes=True, exact=True)
@@ -222,7 +222,7 @@ def test_it_is_refused_without_meshes(arm):
 
 @pytest.mark.parametrize("exact", [True, False])
 def test_a_large_batch_is_what_its_parts_are(arm, exact):
-    """It is computed in another order; results, derivatives and the NaN of one stand where they belong."""
+    """A large batch is computed in another order; results, derivatives and the NaN of one stand where they belong."""
     robot = arm[1] if exact else jaxik.load("p6r")
     scene = SCENE if exact else jaxik.load_scene("cucumber_row")
     q = jnp.asarray(drawn(robot, 400, 10)).at[7, 0].set(jnp.nan)

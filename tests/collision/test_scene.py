@@ -199,7 +199,7 @@ def test_a_rigid_frame_is_taken_in_any_form():
 
 
 def test_boxes_and_cylinders_by_their_centres():
-    """As in a file; beside frames, in any order."""
+    """Boxes and cylinders are given as in a file; beside frames, in any order."""
     frame = np.eye(4)
     frame[:3, 3] = 0.1, 0.2, 0.3
     turned = [(frame, (1, 2, 0))], [(frame, 0.5, 1)]
@@ -476,7 +476,7 @@ def test_a_file_with_bad_points(tmp_path, name, content, words):
 
 
 def test_meshes_and_polygons_in_a_file(tmp_path):
-    """In their own frame and unit, below the scene's folder; a body stays one, and a polygon is not."""
+    """Meshes come in their own frame and unit, below the scene's folder; a body stays one, and a polygon is not."""
     (tmp_path / "meshes").mkdir()
     trimesh.creation.box((100.0, 200.0, 300.0)).export(tmp_path / "meshes" / "box.stl")
     mesh = '{file = "meshes/box.stl", scale = 0.001, position_cm = [50, 0, 0], rpy_deg = [0, 0, 90]}'
@@ -564,7 +564,7 @@ def test_a_scene_is_saved_as_a_robot_is(tmp_path):
 
 
 def test_what_is_taken_away_leaves_the_shapes_of_what_is_grouped():
-    """So that one kernel serves before and after."""
+    """The shapes stay, so that one kernel serves before and after."""
     robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
     shapes = lambda scene: jax.tree_util.tree_map(np.shape, grouped(scene, robot))
     assert shapes(scene) == shapes(scene.without([n for n in scene.object_names if n.startswith(("leaf", "fruit"))]))

@@ -1,4 +1,4 @@
-"""What a driver tells before it searches: what collides whatever the joints do, names that are not there, other units."""
+"""A driver tells before it searches what collides whatever the joints do, names that are not there, and other units."""
 
 import warnings
 
@@ -70,7 +70,7 @@ def test_an_invalid_target_says_why():
 
 
 def test_what_is_ignored_is_explained(post, cell):
-    """It is no contact, and yet told: what overlaps, by how far; nothing of what is ignored and far."""
+    """An ignored pair is no contact, and yet told: what overlaps, by how far; nothing of what is ignored and far."""
     told = jaxik.explain(post(ignore=[("foot", "floor"), ("arm", "floor")]), cell, np.zeros(1))
     assert [(c.link, c.other) for c in told.unchecked] == [("foot", "floor")] and not told.colliding
     assert "not checked: foot and floor collide by 20.0 mm" in str(told)

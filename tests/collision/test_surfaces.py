@@ -94,7 +94,7 @@ def test_surfaces_against_coal(arm, name):
 
 
 def test_slopes_lead_out_of_a_solid(arm):
-    """By q, and by where the obstacle is, whose corners are traced then."""
+    """Slopes by q and by the obstacle's place, whose corners are traced then, lead out."""
     robot, scene = (
         dataclasses.replace(arm, volumes=arm.volumes[1:2]),
         scene_of(trimesh.creation.box((0.5, 0.4, 0.3)).triangles)[0],
@@ -170,7 +170,7 @@ def test_a_room_is_no_solid(arm):
 
 
 def test_bodies_that_touch_are_turned_each_for_itself():
-    """At a corner, one of them inside out."""
+    """Bodies that touch at a corner are turned, one of them inside out."""
     box = np.array(trimesh.creation.box((1.0, 1.0, 1.0)).triangles)
     turned, solid = as_bodies(np.concatenate([3.0 * box + 2.0, box[:, ::-1]]))
     assert solid.all() and all(abs(winding(np.full(3, at), turned) - 1.0) <= 1e-9 for at in (0.0, 2.0))
@@ -225,7 +225,7 @@ def test_triangles_that_stand_twice_count_once(more):
 
 
 def cut(polygon):
-    """Its triangles (k, 3, 3), as a scene holds them."""
+    """The polygon's triangles (k, 3, 3), as a scene holds them."""
     triangles = jaxik.make_scene(polygons=[polygon]).triangles
     return np.stack([triangles.a, triangles.b, triangles.c], axis=1)
 

@@ -72,7 +72,7 @@ def lifted(tmp_path):
 
 
 def test_a_carried_arm_moves_as_alone(lifted, tmp_path):
-    """Its frame is the row's, what follows stands on its tip, and its own mount does not count."""
+    """The arm's frame is the row's, what follows stands on its tip, and its own mount does not count."""
     robot, arm = jaxik.load(lifted), jaxik.load(tmp_path / "arm.toml")
     assert robot.joint_names == ("lift", "turn", "wrist") and robot.world_T_base[1, 3] == 1.0
     assert robot.link_names == ("base", "carriage", "arm_base", "turn_axis", "upper", "arm_tip", "hand")

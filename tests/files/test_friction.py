@@ -1,4 +1,4 @@
-"""What a file says of friction, springs and gravity: read into drives as Pinocchio and MuJoCo read it, or told of."""
+"""Friction, springs and gravity of a file are read into drives as Pinocchio and MuJoCo read them, or told of."""
 
 import mujoco
 import numpy as np

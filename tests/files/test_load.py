@@ -249,7 +249,7 @@ def test_mjcf_refusals(tmp_path, old, new, words):
 
 
 def test_a_plane_of_an_mjcf_is_told(tmp_path):
-    """It would be the robot's, without end; one that touches nothing is not told of."""
+    """The plane would be the robot's, without end; one that touches nothing is not told of."""
     floor = lambda bits: MJCF.replace("<worldbody>", f'<worldbody><geom name="floor" type="plane" size="1 1 1" {bits}/>', 1)
     with pytest.warns(UserWarning, match="arm: floor: a plane is left out"):
         robot = jaxik.load(write(tmp_path, "arm.xml", floor("")))
@@ -258,7 +258,7 @@ def test_a_plane_of_an_mjcf_is_told(tmp_path):
 
 
 def test_files_of_an_attached_model_stay_below_the_folder(tmp_path):
-    """What a model names in its assets is a model itself, with files beside it."""
+    """A model named in another one's assets has files beside it; all stay below the folder."""
     model, part = tmp_path / "model", tmp_path / "model" / "part"
     part.mkdir(parents=True)
     attached = '<asset><model name="m" file="part/hand.xml"/></asset><worldbody>'
@@ -449,14 +449,14 @@ PAIR = '<{}_collisions link1="{}" link2="{}"/>'
     ],
 )
 def test_an_srdf_says_which_pairs_are_checked(tmp_path, content, checked):
-    """As MoveIt reads it: what is disabled is so even if it is enabled, too."""
+    """Pairs are checked as MoveIt reads them: a disabled one stays so even if it is enabled, too."""
     path, srdf = write(tmp_path, "arm.urdf", ARM), write(tmp_path, "arm.srdf", SRDF.format(content))
     robot = jaxik.load(path, srdf=srdf)
     assert {" ".join(robot.link_names[i] for i in pair) for pair in robot.self_pairs} == checked
 
 
 def test_links_of_an_srdf_that_are_not_there(tmp_path):
-    """Those of a larger robot, or misspelt; a file that has no link of the robot is another's."""
+    """Links of a larger robot, or misspelt, are told; a file that has no link of the robot is another's."""
     path, pair = write(tmp_path, "arm.urdf", ARM), PAIR.format("disable", "tip", "bse")
     with pytest.warns(UserWarning, match=r"bse: a\.srdf \('arm'\) names these links, .* has not; did you mean 'base'"):
         jaxik.load(path, srdf=write(tmp_path, "a.srdf", SRDF.format(pair)))
@@ -543,7 +543,7 @@ def test_targets_in_json_are_not_reshaped(tmp_path, row, words):
 
 @pytest.mark.parametrize("header", ["x,y,z,{}", "Z,{},Y,X", "y_mm,X_mm,{},z_MM", " {} , z,x,Y"])
 def test_columns_stand_in_any_order_and_case(tmp_path, header):
-    """Of targets as of scenes."""
+    """Columns of targets do, as those of scenes."""
     names = header.format("i").split(",")
     axes = [name.strip().lower()[0] for name in names]
     row = ",".join({"x": "0.5", "y": "0.25", "z": "2", "i": "leaf"}[axis] for axis in axes)
@@ -596,7 +596,7 @@ def npz(path, **members):
 
 
 def test_an_npz_is_bounded_by_what_it_holds(tmp_path, monkeypatch):
-    """By the sizes in the archive and the arrays' headers, before anything is unpacked."""
+    """The sizes in the archive and the arrays' headers bound it, before anything is unpacked."""
     monkeypatch.setattr(target_files, "MOST", 2**16)
     bomb = npz(tmp_path / "bomb.npz", positions=npy((100_000, 3), bytes(24 * 100_000)))
     assert bomb.stat().st_size < 2**14

@@ -118,7 +118,7 @@ MIRROR = "<scale>-1 1 1</scale>"
 )
 @pytest.mark.parametrize("node", ["", "<translate>1 0 0</translate>", MIRROR])
 def test_the_unit_of_a_dae_counts(tmp_path, unit, factor, node):
-    """Of what its nodes do, too; a mirror turns no surface inside out, and a material that is not there takes none away."""
+    """The unit scales what nodes do, too; a mirror turns no surface inside out, and a missing material takes none away."""
     paint = '<bind_material><technique_common><instance_material symbol="m" target="#no"/></technique_common></bind_material>'
     path = write(tmp_path, "m.dae", dae(BOX.vertices.tolist(), BOX.faces.tolist(), unit, node, paint))
     found = load_mesh(path)
@@ -151,7 +151,7 @@ def test_names_of_any_length_are_refused_in_one_line(tmp_path):
 
 
 def test_links_of_a_package_are_followed(tmp_path):
-    """As `colcon build --symlink-install` makes them; elsewhere what a link leads to lies outside."""
+    """Links are followed as `colcon build --symlink-install` makes them; elsewhere their ends lie outside."""
     (folder := tmp_path / "pkg").mkdir()
     BOX.export(tmp_path / "away.stl")
     os.symlink(tmp_path / "away.stl", folder / "here.stl")

@@ -1,4 +1,4 @@
-"""What an MJCF ties together, and what it lets pass: refused or read, as MuJoCo means it."""
+"""Ties in an MJCF, and what it lets pass, are refused or read, as MuJoCo means them."""
 
 import itertools
 

@@ -63,7 +63,7 @@ def mixed():
 
 
 def test_spheres_hold_the_model(tmp_path):
-    """In a URDF that stands and moves as the robot does, and reach no further than is told."""
+    """Spheres in a URDF that stands and moves as the robot does hold the model, and reach no further than is told."""
     robot = mixed()
     told = jaxik.save(robot, tmp_path / "spheres.urdf", beyond=0.004)
     assert 0.0 < told <= 0.004 and f"at most {1e3 * told:.1f} mm" in (tmp_path / "spheres.urdf").read_text()
@@ -103,7 +103,7 @@ def test_frames_take_names_that_are_free(tmp_path):
 
 
 def test_pairs_that_are_not_checked_are_written_beside(tmp_path):
-    """What another program has to be told, in the form that it reads; no file of somebody else's is written over."""
+    """An SRDF tells them to other programs, in the form that they read; no file of somebody else's is written over."""
     robot = mixed()
     robot = dataclasses.replace(robot, self_pairs=robot.self_pairs[2:])
     jaxik.save(robot, tmp_path / "spheres.urdf", beyond=0.02)

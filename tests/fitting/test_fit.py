@@ -40,7 +40,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def cache(made, monkeypatch):
-    """What is fitted here is not found from elsewhere, and made once."""
+    """A cache of these tests' own: fits are not found from elsewhere, and made once."""
     monkeypatch.setattr("jaxik.spmd.cache.cache_folder", lambda: made)
 
 
@@ -157,7 +157,7 @@ def test_a_fit_without_meshes_is_refused():
 
 
 def test_a_report_says_what_was_fitted(tmp_path):
-    """In the units of the file, for each mesh: the scale is in, and so is its place on the link."""
+    """The report has the units of the file, for each mesh: the scale is in, and so is its place on the link."""
     trimesh.creation.box((100.0, 100.0, 400.0)).export(tmp_path / "bar.stl")
     mesh = '<link name="tool"><collision><origin xyz="0 0 0.5"/><geometry><mesh filename="bar.stl" scale="0.001 0.001 0.001"/>'
     path = write(tmp_path, "arm.urdf", URDF.replace('<link name="tool"/>', mesh + "</geometry></collision></link>"))
@@ -192,7 +192,7 @@ def as_coal(points):
 
 @pytest.mark.parametrize("first, second", [("L", "cylinder"), ("plate", "L"), ("cylinder", "plate")])
 def test_distances_of_hulls_are_coals(first, second):
-    """Which touch, how far the others are apart, in which direction, and by how much the touching overlap."""
+    """Hulls touch where coal's do; the others' distances and directions, and the overlaps of the touching, are coal's."""
     a, b = MESHES[first], MESHES[second]
     turn = Rotation.random(300, random_state=4).as_matrix()
     turn[:30] = np.eye(3)  # faces along faces
@@ -253,7 +253,7 @@ def test_mjcf_is_fitted_as_a_urdf_is(tmp_path):
 
 
 def test_what_is_nearest_is_named(arm):
-    """In the model that was fitted, by the links' names."""
+    """The nearest pair of the fitted model is named by its links."""
     robot = jaxik.load(arm, meshes=True)
     told = jaxik.explain(robot, None, np.array([0.0, 2.3, 0.0]), count=1).contacts[0]
     assert (told.link, told.other) == ("arm", "base") and told.distance < 0.0

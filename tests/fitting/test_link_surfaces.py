@@ -52,7 +52,7 @@ def placed(count, seed, spread=0.25):
 
 @pytest.mark.parametrize("first, second", [("fork", "ring"), ("carved 0", "fork"), ("ring", "carved 1")])
 def test_surfaces_are_as_far_apart_as_coal_says(first, second):
-    """Which cross, and how far the others are apart, within what is asked for."""
+    """Surfaces cross where coal's do, and the others are as far apart, within what is asked for."""
     a, b = (triangles(SHAPES[name]) for name in (first, second))
     turn, place = placed(200, 3)
     one, other, request, told = in_coal(a), in_coal(b), coal.DistanceRequest(), coal.DistanceResult()
@@ -101,7 +101,7 @@ def test_parts_hold_the_surface_and_its_inside(name):
 
 @pytest.mark.parametrize("tolerance", [2e-5, 1e-3, 0.02])
 def test_fewer_corners_hold_the_hull(tolerance):
-    """Of a ball, a ring's hull, and what has no more corners than it needs: within the radius, by trimesh."""
+    """The hulls of a ball, a ring, and a box, which needs all its corners, are held within the radius, by trimesh."""
     for mesh in (trimesh.creation.icosphere(3, 0.1), SHAPES["ring"].convex_hull, trimesh.creation.box((0.1, 0.2, 0.3))):
         points = np.asarray(mesh.vertices)
         found = few_corners(points, tolerance)

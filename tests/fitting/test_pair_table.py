@@ -175,7 +175,7 @@ def test_motions_are_proven_with_tables(arm, postures):
 
 
 def test_a_table_is_of_the_links_that_were_measured(arm, postures):
-    """Of others it says nothing: a link made thicker, moved, or differentiated by."""
+    """The table says nothing of others: a link made thicker, moved, or differentiated by."""
     apart = lambda robot: np.asarray(jax.vmap(lambda q: jaxik.clearance(robot, None, q))(postures[:200]))
     bare = lambda robot: dataclasses.replace(robot, pair_tables=())
     thick = dataclasses.replace(
