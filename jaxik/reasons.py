@@ -41,27 +41,6 @@ def texts(reason: Any) -> Any:
     return words if words.ndim else str(words)
 
 
-class Reasoned:
-    """A result whose `reason` is a `Reason`, or an array of their numbers."""
-
-    reason: Any
-
-    @property
-    def success(self) -> Any:
-        """Whether it is solved; of a batch, which are."""
-        return self.reason == Reason.SOLVED
-
-    @property
-    def reasons(self) -> Any:
-        """The reasons in words: text, or an array of texts."""
-        return texts(self.reason)
-
-    def counts(self) -> dict[str, int]:
-        """The number that ended for each reason, by its words."""
-        found, counts = np.unique(np.asarray(self.reason, int), return_counts=True)
-        return {Reason(int(r)).text: int(c) for r, c in zip(found, counts, strict=True)}
-
-
 MEND = 1000  # letters of one
 
 

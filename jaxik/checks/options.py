@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 import difflib
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, get_args
 
 import numpy as np
 
-Options = TypeVar("Options", bound=Any)
 TOP = ("Robot", "FitOptions", "IKOptions", "Scene", "Task")  # classes that `jaxik` itself shows
 HOMES = {"Body": "jaxik.dynamics", "Drive": "jaxik.dynamics", "Friction": "jaxik.dynamics"}  # shown elsewhere than defined
 READERS = {"Robot": "load", "Scene": "load_scene"}  # what reads a file that is given in the place of these
@@ -55,15 +53,6 @@ def check_kind(who: str, name: str, value: Any, kind: type, optional: bool = Fal
         own = HOMES.get(kind.__name__, ".".join(kind.__module__.split(".")[:2]))
         package = "jaxik" if kind.__name__ in TOP else own
         raise ValueError(f"{who}: {name} is {shown(value)}; write a {package}.{kind.__name__}{mend}")
-
-
-def changed(who: str, options: Options, changes: dict[str, Any]) -> Options:
-    """The options with fields changed by name. Raises likewise for a name that is none of theirs."""
-    names = [field.name for field in dataclasses.fields(options)]
-    for name in changes:
-        if name not in names:
-            raise ValueError(f"{who}: unknown option '{name}'; allowed: {', '.join(names)}")
-    return dataclasses.replace(options, **changes) if changes else options
 
 
 def check_seed(who: str, seed: Any) -> None:
