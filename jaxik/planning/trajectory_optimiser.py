@@ -163,18 +163,11 @@ def _packed(search: Search, kept: list[Solved]) -> TrajectoryResult:
 
 
 def _timed(points: np.ndarray, degree: int, duration: np.ndarray) -> Trajectory:
-    """The trajectories of motions (b, M, n), each over its whole duration (b,)."""
+    """The trajectories of motions (b, M, n), each over its whole duration (b,), which may be 0 for one that stands still."""
     spans = points.shape[1] - degree
-    curve = splines.pieces(points, degree, 1.0)
-    span = duration / spans
-    powers = span[:, None] ** np.array([-3.0, -2.0, -1.0, 0.0]) if (span != 0.0).all() else _powers(span)
-    time = span[:, None] * np.arange(spans + 1)
-    lengths = np.broadcast_to(span[:, None], (len(points), spans))
-    return Trajectory(JointPath(lengths, curve * powers[:, None, :, None]), time, time, np.ones_like(time))
-
-
-def _powers(span: np.ndarray) -> np.ndarray:
-    """Powers of spans some of which are zero, in motions that stand still."""
+    span = (duration / spans)[:, None]
     with np.errstate(divide="ignore"):
-        found = span[:, None] ** np.array([-3.0, -2.0, -1.0, 0.0])
-    return np.where(span[:, None] == 0.0, [0.0, 0.0, 0.0, 1.0], found)
+        powers = np.where(span == 0.0, [0.0, 0.0, 0.0, 1.0], span ** np.array([-3.0, -2.0, -1.0, 0.0]))
+    curve = splines.pieces(points, degree, 1.0) * powers[:, None, :, None]
+    time = span * np.arange(spans + 1)
+    return Trajectory(JointPath(np.broadcast_to(span, (len(points), spans)), curve), time, time, np.ones_like(time))
