@@ -130,7 +130,7 @@ def test_no_collision_of_meshes_is_missed(arm, bare):
 
 
 def test_its_gradient_is_a_difference(arm):
-    """The gradient in q is the parts', wherever the nearest points stay on the same features; in the scene's numbers, too."""
+    """The parts' distance has it in q, wherever the nearest points stay on the same features; in the scene's numbers, too."""
     q, step = drawn(arm, 600, 3), 1e-6
     value = lambda q: jaxik.clearance(arm, SCENE, q)
     slopes, there = measured(jax.grad(value), q), measured(value, q)

@@ -258,7 +258,7 @@ def test_a_plane_of_an_mjcf_is_told(tmp_path):
 
 
 def test_files_of_an_attached_model_stay_below_the_folder(tmp_path):
-    """A model named in another one's assets has files beside it; all stay below the folder."""
+    """A file named in a model's assets is a model itself, with files beside it."""
     model, part = tmp_path / "model", tmp_path / "model" / "part"
     part.mkdir(parents=True)
     attached = '<asset><model name="m" file="part/hand.xml"/></asset><worldbody>'
@@ -543,7 +543,7 @@ def test_targets_in_json_are_not_reshaped(tmp_path, row, words):
 
 @pytest.mark.parametrize("header", ["x,y,z,{}", "Z,{},Y,X", "y_mm,X_mm,{},z_MM", " {} , z,x,Y"])
 def test_columns_stand_in_any_order_and_case(tmp_path, header):
-    """Columns of targets do, as those of scenes."""
+    """Columns of targets do, and those of scenes."""
     names = header.format("i").split(",")
     axes = [name.strip().lower()[0] for name in names]
     row = ",".join({"x": "0.5", "y": "0.25", "z": "2", "i": "leaf"}[axis] for axis in axes)
