@@ -44,16 +44,18 @@ class FollowOptions(LoopOptions, who="follow"):
     scheme: str = choice(
         default="asc",
         kinds=Scheme,
-        words="rmrc: the least rates; asc: down the cost's gradient; rac: the same by accelerations",
+        words="rmrc: the least rates; asc: down the cost's gradient; rac: the same by accelerations, its gain 0.5 / dt",
     )
     dt: float = number(default=0.001, above=0.0, unit="s", words="sample time")
     integrator: str = choice(
         default="runge_kutta", kinds=ocp.Integrator, words="of rates; rac integrates accelerations by half their square"
     )
-    alpha: float = number(default=1.0, least=0.0, words="times the cost's gradient are the rates, or accelerations, down it")
-    damping: float = number(default=1.0, least=0.0, unit="1/s", words="of velocity in the null space, by rac")
+    alpha: float = number(default=1.0, least=0.0, words="rates, or accelerations, down the cost's gradient, as its multiple")
+    damping: float = number(default=1.0, least=0.0, unit="1/s", words="of the velocity in the null space, by rac alone")
     limits: bool = flag(default=True, words="whether the robot's limits of position and velocity are kept")
-    acceleration: float | tuple[float, ...] | None = per_joint(unit="rad/s2, m/s2", words="most of each joint, or of all")
+    acceleration: float | tuple[float, ...] | None = per_joint(
+        unit="rad/s2, m/s2", words="the most of each joint, or of all; None: any"
+    )
     tolerance: float = number(default=0.01, above=0.0, unit="m, rad", words="error in a component at which the motion fails")
 
 
@@ -100,12 +102,15 @@ def follow(
 
     With q (b, n) it is b motions in one call; `each` names what else has one entry a motion ("path", "duration"). `changes`
     are fields of `FollowOptions` by name; `progress(done, total)` counts motions. Raises `ValueError` for a q of another shape,
-    an object that is no path, a duration that is not positive, weights or accelerations of another length, and other names.
+    an object that is no path, a duration that is not positive, weights or accelerations of another length, other names, and a
+    cost that rmrc would not look at.
     """
     options = FollowOptions.chosen(options, changes)
     q = numbers("follow: q", q)
     axes = scenario_axes("follow", robot, path, duration, q, each, Each)
     n, most = robot.num_joints, options.acceleration
+    if cost is not None and options.scheme == "rmrc":
+        raise ValueError("follow: a cost with scheme 'rmrc', whose rates are the least; leave out one of them")
     if isinstance(most, tuple) and len(most) != n:
         allowed = f"one, or one for each of the {n} joints of {robot.name}"
         raise ValueError(f"follow: acceleration has {len(most)} numbers; allowed: {allowed}")

@@ -50,7 +50,11 @@ class PredictOptions(LoopOptions, who="predict"):
 
     dt: float = number(default=0.01, above=0.0, unit="s", words="sample time")
     count: int = count(default=200, words="samples of the horizon")
-    level: str = choice(default="acceleration", kinds=Level, words="on which the input acts; its rate, or it, moves the joints")
+    level: str = choice(
+        default="acceleration",
+        kinds=Level,
+        words="whether the input is the null space's velocity, or its rate, so that velocity is continuous",
+    )
     integrator: str = choice(default="euler", kinds=ocp.Integrator, words="of rates")
     free_start: bool = flag(default=False, words="whether any configuration with the tip at the path's start may be taken")
     descend: DescentOptions = instance(default=DescentOptions(), kind=DescentOptions, words="how the cost is made smaller")

@@ -145,6 +145,8 @@ def test_mistakes_are_one_line(pendulum, to):
         follow(pendulum, to(0.5, 0.0), 0.0, START)
     with pytest.raises(ValueError, match=r"takes \(4,\)"):
         follow(pendulum, to(0.5, 0.0), 1.0, np.zeros(3))
+    with pytest.raises(ValueError, match="a cost with scheme 'rmrc', whose rates are the least; leave out one"):
+        follow(pendulum, to(0.5, 0.0), 1.0, START, cost=COMFORT, scheme="rmrc")
     with pytest.raises(ValueError, match="quasi-Newton"):
         PredictiveController(pendulum, quadratic_cost(), descend=jaxik.optimise.QUASI_NEWTON)
 
