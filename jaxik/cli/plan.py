@@ -10,16 +10,19 @@ import numpy as np
 import tyro
 
 import jaxik
+from jaxik.cli.flags import flags, given
 from jaxik.cli.interruption import Unsolved
 from jaxik.cli.results import check_writable, writing
 from jaxik.cli.robot_arguments import ShapedRobotArguments
-from jaxik.planning import PlanResult
+from jaxik.planning import PlanOptions, PlanResult
 from jaxik.planning.trajectory_files import ENDINGS
 from jaxik.reasons import Reason
 
+FLAGS = flags(PlanOptions, margin=float, velocity=float | None, acceleration=float | None, rounds=int, timeout=float | None)
+
 
 @dataclasses.dataclass(kw_only=True)
-class PlanArguments(ShapedRobotArguments):
+class PlanArguments(FLAGS, ShapedRobotArguments):
     """A motion from one configuration to another, proven free of collision, timed within the joints' limits."""
 
     robot: tyro.conf.Positional[str]
@@ -32,18 +35,8 @@ class PlanArguments(ShapedRobotArguments):
     """A shipped scene or a scene file: obstacles to keep clear of; without one, the robot keeps clear of itself."""
     without: tuple[str, ...] = ()
     """Objects of the scene that are no obstacle, such as the fruit that is grasped."""
-    margin: float = 0.0
-    """Least clearance [m]."""
-    velocity: float | None = None
-    """Limit of every joint [rad/s, m/s]; the robot's own unless given."""
-    acceleration: float | None = None
-    """Limit of every joint [rad/s2, m/s2]; four times the velocity a second unless given."""
     dt: float = 0.01
     """Between samples of the file [s]."""
-    rounds: int = jaxik.planning.PlanOptions().rounds
-    """Of the search, before it is given up."""
-    timeout: float | None = None
-    """Of the search [s]; none unless given."""
     seed: int = 0
     """Another number, another (deterministic) search."""
     out: Path = Path("motion.csv")
@@ -60,14 +53,13 @@ class PlanArguments(ShapedRobotArguments):
             raise ValueError(f"--without {' '.join(self.without)}: there is no scene to leave it out of; give --scene")
         robot = jaxik.load(self.robot, **self.loading())
         scene = jaxik.make_scene() if self.scene is None else jaxik.load_scene(self.scene).without(self.without)
-        names = [f.name for f in dataclasses.fields(jaxik.planning.PlanOptions)]
         for name in ("start", "goal"):
             if not np.isfinite(getattr(self, name)).all():
                 raise ValueError(f"--{name} {' '.join(map(str, getattr(self, name)))}: finite numbers [rad, m]")
             if (count := len(getattr(self, name))) != robot.num_joints:
                 joints = f"{robot.num_joints}: {', '.join(robot.joint_names)}"
                 raise ValueError(f"--{name}: {count} numbers; {robot.name} has {joints}")
-        options = jaxik.planning.PlanOptions(**{k: v for k, v in dataclasses.asdict(self).items() if k in names})
+        options = PlanOptions(**given(self, PlanOptions))
         began = time.perf_counter()
         moved = jaxik.plan_motion(robot, self.start, self.goal, scene=scene, seed=self.seed, options=options)
         seconds = time.perf_counter() - began
