@@ -1,10 +1,9 @@
-"""What stands in the way of a fruit, and the least that has to go first: neighbours to pick, leaves to take away."""
+"""Finds what stands in the way of a fruit, and the least that has to go first: neighbours to pick, leaves to take away."""
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Collection, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,8 +11,8 @@ from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import by_object, clearance
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
-from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.host import host_kernels
 
 MOST = 3  # objects that are named where nothing helps
 
@@ -34,18 +33,18 @@ class Blockers(NamedTuple):
 
     @property
     def in_the_way(self) -> tuple[str, ...]:
-        """What has to go first; where nothing helps, the three objects that block most postures."""
+        """The objects that have to go first; where nothing helps, the three objects that block most postures."""
         return self.names[:MOST] if self.removal is None else (*self.pick_first, *self.removal)
 
     @property
     def mend(self) -> str:
-        """What to do first, in words; "" where nothing helps."""
+        """The mend in words; "" where nothing helps."""
         words = (("pick", self.pick_first), ("take away", self.removal or ()))
         return ", ".join(f"{verb} {_listed(names)}" for verb, names in words if names)
 
     @property
     def words(self) -> str:
-        """What to do first; where nothing helps what the fruit is behind, or that it is the robot itself."""
+        """The mend; where nothing helps what the fruit is behind, or that the robot hits itself."""
         behind = f"behind {', '.join(self.in_the_way)}" if self.names else "the robot hits itself"
         return self.mend or behind
 
@@ -55,9 +54,9 @@ def _listed(names: tuple[str, ...]) -> str:
 
 
 class Touched(NamedTuple):
-    """What the candidate postures of a fruit touch: the share of them that touches each object; and the different sets (k,
-    objects) of objects that may go, each with the row of the posture that keeps most clear of what stays, by `clearance`
-    [m]."""
+    """The objects that the candidate postures of a fruit touch: the `share` of postures that touches each object; and the
+    different `sets` (k, objects) of objects that may go, each with the `row` of the posture that keeps most clear of what
+    stays, by `clearance` [m]."""
 
     scene: Scene
     share: np.ndarray
@@ -86,13 +85,13 @@ class Touched(NamedTuple):
         return known._replace(removal=named(taken), row=int(self.row[best]), pick_first=named(picked))
 
 
-@functools.lru_cache(maxsize=16)
-def _contacts(robot: Robot, objects: int) -> HostKernel:
-    return HostKernel(lambda q, around: (by_object(robot, objects, around, q), clearance(robot, None, q)), 1)
+@host_kernels(1, known=16)
+def _contacts(robot: Robot, objects: int, q: Any, around: Any) -> Any:
+    return by_object(robot, objects, around, q), clearance(robot, None, q)
 
 
 def touched_sets(robot: Robot, scene: Scene, others: Scene, q: np.ndarray, margin: float) -> Touched:
-    """What candidate postures `q` (b, n) of a fruit touch among the `others`, the scene without it. Host driver."""
+    """Finds what candidate postures `q` (b, n) of a fruit touch among the `others`, the scene without it. Host driver."""
     count = len(scene.object_names)
     if not len(q):
         nothing = np.zeros(0)
@@ -111,7 +110,7 @@ def touched_sets(robot: Robot, scene: Scene, others: Scene, q: np.ndarray, margi
 
 
 def unblocked(touched: Mapping[str, Touched], pickable: Collection[str]) -> dict[str, Blockers]:
-    """What has to go for each of some fruits, by name, where others are `pickable`.
+    """Finds what has to go for each of some fruits, by name, where others are `pickable`.
 
     A fruit that needs only others to be picked is pickable as well, after them; and where that ends, so is one for which
     leaves are taken away.

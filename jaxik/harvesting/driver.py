@@ -26,7 +26,7 @@ NUMBERS = ("angle", "clearance", "freedom", "score", "position_error", "rotation
 
 
 class HarvestOptions(ScanOptions, who="harvest"):
-    """What `harvest` tries for each fruit, and which posture it takes."""
+    """Options of `harvest`, the same as those of `scan`."""
 
 
 class HarvestResult(Result):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -18,18 +17,18 @@ from jaxik.harvesting.scanning import MISSES, ScanResult, Table, measured, scan,
 from jaxik.kinematics.forward import jacobian
 from jaxik.kinematics.robot import Robot
 from jaxik.reach.leading_joints import grid
-from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.host import host_kernels
 
 STEPS = 25  # of the ascent, at most
 LIMIT_LENGTH = 0.1  # [m/rad] at which a joint past its limit weighs against clearance while a miss is mended
 
 
-@functools.lru_cache(maxsize=16)
-def _ascent(robot: Robot) -> HostKernel:
+@host_kernels(1, known=16)
+def _ascent(robot: Robot, q: Any, scene: Any) -> Any:
     """The kernel of what recovery raises (`_worth`), its gradient in q, and the Jacobian."""
-    worth = jax.value_and_grad(lambda q, scene: _worth(robot, clearance(robot, scene, q), q))
-    return HostKernel(lambda q, scene: (*worth(q, scene), jacobian(robot, q)), 1)
+    worth = jax.value_and_grad(lambda q: _worth(robot, clearance(robot, scene, q), q))
+    return *worth(q), jacobian(robot, q)
 
 
 def _worth(robot: Robot, distance: Any, q: Any) -> Any:

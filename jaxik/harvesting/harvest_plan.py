@@ -1,4 +1,4 @@
-"""What is asked of a harvest in motion, what becomes of it, and its motions as one file for controllers and tables."""
+"""A harvest in motion: its options, its result, and the motions as one file for controllers and tables."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class HarvestPlan(Result):
     """One row a fruit, in the scene's order, and all stages one after another, the way home at last; of some of its rows those
     of their fruits. It prints as a line a fruit.
 
-    fruit: its name. q (b, n) [rad, m]: the posture that grasps it; NaN of a fruit that is not picked. Of such a fruit, where:
+    fruit: its name. q (b, n) [rad, m]: the posture that grasps it; NaN of a fruit that is not picked. where (then):
     "posture", "approach", "retreat", "transfer", "transport" or "place" fails, for the reason; and blockers: what is in the
     way. seconds: how long it took to plan.
     """

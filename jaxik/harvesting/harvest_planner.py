@@ -169,7 +169,7 @@ class _Planner:
         return found._replace(blockers=blocking or found.blockers)
 
     def leaves(self, arm: Robot, q: np.ndarray, fruit: str) -> np.ndarray:
-        """Which objects that may be removed each configuration (b, n) touches (b, objects)."""
+        """Whether each configuration (b, n) touches each object that may be removed (b, objects)."""
         scene = self.around.scene
         others = scene.without([fruit]) if fruit in scene.object_names else scene
         return touched(arm, others, q, 0.0) & self.around.removable

@@ -220,7 +220,7 @@ def _in_the_way(arm: Robot, others: Scene, lines: np.ndarray, margin: float) -> 
 
 
 def _any_hit(space: CollisionChecker, lines: np.ndarray) -> np.ndarray:
-    """Which lines (b, k, n) have a sample that is nearer than the margin, and a little more."""
+    """Whether each of the lines (b, k, n) has a sample that is nearer than the margin, and a little more."""
     return np.any(space.hits(lines.reshape(-1, lines.shape[-1]), CUSHION).reshape(lines.shape[:2]), axis=1)
 
 

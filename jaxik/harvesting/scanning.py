@@ -36,7 +36,7 @@ MISSES = 16  # candidates that recovery starts from
 
 
 class ScanOptions(PostureOptions, who="scan"):
-    """Which candidates `scan` tries, which of them count, and how they are ranked: `PostureOptions`."""
+    """Options of `scan`: the candidates that it tries, and which postures count (`PostureOptions`)."""
 
     angles: Any = anything(default=72, unit="rad", words="approach angles about the fruit's axis, a count or the values (m,)")
     slides: Any = anything(
@@ -62,7 +62,7 @@ class Table(NamedTuple):
         return int(free[np.argmax(self.score[free])]) if len(free) else None
 
     def best_row(self, margin: float) -> Table | None:
-        """That row alone."""
+        """The best row alone."""
         best = self.best(margin)
         return None if best is None else Table(*(column[best : best + 1] for column in self))
 
@@ -92,12 +92,12 @@ class ScanResult(Result):
         return next((reason for reason in nearest_first if np.any(self.status == reason)), Reason.OUT_OF_REACH)
 
     def touched(self) -> Touched:
-        """What its candidates touch. Host driver."""
+        """Finds what the candidates touch. Host driver."""
         others = without_fruit(self.scene, self.fruit)
         return touched_sets(self.robot, self.scene, others, self.table.q, self.options.margin)
 
     def blockers(self, pickable: Collection[str] = ()) -> Blockers:
-        """Which objects stand in the way of the fruit, and the least that has to go for a posture of its table. Host driver.
+        """Finds the objects in the way of the fruit, and the least that has to go for a posture of its table. Host driver.
 
         Leaves may go, and the fruits that you say are `pickable` themselves, by their names: the answer is the set with the
         fewest leaves, then with the fewest fruits, then with the most clearance to what stays. `harvest` finds which fruits of

@@ -46,7 +46,7 @@ def best_members(costs: np.ndarray, groups: Sequence[np.ndarray]) -> list[int]:
 
 
 def _by_subsets(costs: np.ndarray, groups: Sequence[np.ndarray]) -> list[int]:
-    """By dynamic programming: the least way to each node that has visited a set of groups, for larger and larger sets."""
+    """Finds the tour by dynamic programming: the least way to each node through a set of groups, for ever larger sets."""
     count = len(groups)
     total, before = np.full((2**count, len(costs)), np.inf), np.zeros((2**count, len(costs)), int)
     total[0, 0] = 0.0

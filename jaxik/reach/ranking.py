@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from jaxik.collision.clearances import clearance
 from jaxik.costs import joint_limit_margin
 from jaxik.kinematics.robot import Robot
 from jaxik.options import Options, number
-from jaxik.spmd import HostKernel
+from jaxik.spmd.host import host_kernels
 
 
 class PostureOptions(Options, who="posture"):
@@ -35,7 +35,7 @@ class PostureOptions(Options, who="posture"):
         return near + self.freedom_weight * np.clip(freedom, 0.0, 1.0)
 
 
-@functools.lru_cache(maxsize=64)
-def measures(robot: Robot) -> HostKernel:
-    """A batch of clearances [m] and freedoms: (q, scene)."""
-    return HostKernel(lambda q, scene: (clearance(robot, scene, q), joint_limit_margin(robot, q)), 1)
+@host_kernels(1)
+def measures(robot: Robot, q: Any, scene: Any) -> Any:
+    """The kernel of clearances [m] and freedoms, by rows of q."""
+    return clearance(robot, scene, q), joint_limit_margin(robot, q)

@@ -30,6 +30,7 @@ from jaxik.reasons import Reason
 from jaxik.spatial.algebra import traced
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.host import host_kernels
 from jaxik.sweeps.robot_variants import Variant
 from jaxik.sweeps.study import Study
 from jaxik.sweeps.targets import Targets
@@ -134,15 +135,11 @@ class _Around(NamedTuple):
         return distance, freedom
 
 
-@functools.lru_cache(maxsize=64)
-def _branch_measures(robot: Robot) -> HostKernel:
+@host_kernels(3)
+def _branch_measures(robot: Robot, pose: Any, leading: Any, number: Any, scene: Any) -> Any:
     """The kernel of `measures` of a branch, by rows of poses, leading joints and its number."""
-
-    def measured(pose: Any, leading: Any, number: Any, scene: Any) -> tuple[Any, Any]:
-        q, _ = one_branch(robot, pose, leading, number)
-        return measures(robot).function(q, scene)
-
-    return HostKernel(measured, 3)
+    q, _ = one_branch(robot, pose, leading, number)
+    return measures(robot).function(q, scene)
 
 
 EMPTY = make_scene()
@@ -255,23 +252,18 @@ def _no_answer(robot: Robot, count: int) -> Columns:
     return {name: np.full(rows(c), c.nothing, c.dtype) for name, c in COLUMNS.items() if name not in GIVEN}
 
 
-@functools.lru_cache(maxsize=64)
-def _worth(robot: Robot) -> HostKernel:
+@host_kernels(2)
+def _worth(robot: Robot, q: Any, pose: Any) -> Any:
     """The kernel of `WORTH`, by rows of joint positions and the poses that they are for."""
-    errors = lambda q, pose: pose_errors(robot, list(q), traced(pose))
-    return HostKernel(lambda q, pose: (q, *errors(q, pose), manipulability(robot, q), joint_limit_margin(robot, q)), 2)
+    return q, *pose_errors(robot, list(q), traced(pose)), manipulability(robot, q), joint_limit_margin(robot, q)
 
 
-@functools.lru_cache(maxsize=64)
-def _posture(robot: Robot) -> HostKernel:
+@host_kernels(3)
+def _posture(robot: Robot, pose: Any, leading: Any, number: Any) -> Any:
     """The kernel, by rows of poses, leading joints and a branch's number, of whether the branch has the pose inside the limits,
     and of its `WORTH`."""
-
-    def posture(pose: Any, leading: Any, number: Any) -> Any:
-        q, inside = one_branch(robot, pose, leading, number)
-        return inside, *_worth(robot).function(q, pose)
-
-    return HostKernel(posture, 3)
+    q, inside = one_branch(robot, pose, leading, number)
+    return inside, *_worth(robot).function(q, pose)
 
 
 def _on_grid(study: Study, robot: Robot, poses: np.ndarray, around: _Around | None) -> tuple[_Best, _Near]:
@@ -364,24 +356,19 @@ def _most(owner: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
 
 def _search(study: Study, robot: Robot, poses: np.ndarray, valid: np.ndarray, around: _Around | None) -> Columns:
     """The answers of `solve_ik`."""
-    asked = np.where(valid[:, None, None], poses, np.nan)
+    asked, every = np.where(valid[:, None, None], poses, np.nan), np.arange(len(poses))
     columns = _no_answer(robot, len(poses))
-    for scene, rows in [(None, slice(None))] if around is None else around.groups(np.arange(len(poses))):
-        for name, values in _searched(study, robot, asked[rows], scene).items():
-            columns[name][rows] = values
+    for scene, some in [(None, slice(None))] if around is None else around.groups(every):
+        rows = every[some]
+        found: IKResult = solved(robot, Poses.of(asked[rows], study.ik.task), scene, study.seed, study.ik)
+        at = rows[found.success]
+        worth = in_blocks(_worth(robot), found.q[found.success], asked[at], double=True) if len(at) else []
+        for name, values in zip(WORTH, worth, strict=False):
+            columns[name][at] = values
+        columns["clearance"][at] = found.clearance[found.success]
+        columns["solutions"][rows] = found.num_solutions
+        columns["reason"][rows], columns["reachable"][rows] = found.reason, found.success
+        columns["proven"][rows] = np.isin(found.reason, (Reason.SOLVED, Reason.OUT_OF_REACH, Reason.INVALID))
+    if not all(study.ik.task.bound):  # a component that the target leaves free has no error
+        columns["rotation_error"][:] = np.nan
     return columns
-
-
-def _searched(study: Study, robot: Robot, poses: np.ndarray, scene: Grouped | None) -> Columns:
-    found: IKResult = solved(robot, Poses.of(poses, study.ik.task), scene, study.seed, study.ik)
-    columns = _no_answer(robot, len(poses))
-    rows = np.flatnonzero(found.success)
-    worth = in_blocks(_worth(robot), found.q[rows], poses[rows], double=True) if len(rows) else []
-    for name, values in zip(WORTH, worth, strict=False):
-        columns[name][rows] = values
-    if not all(study.ik.task.bound):  # what the target leaves free is no error
-        columns["rotation_error"][rows] = np.nan
-    columns["clearance"][rows] = found.clearance[rows]
-    columns["solutions"] = np.asarray(found.num_solutions, np.int32)
-    sure = np.isin(found.reason, (Reason.SOLVED, Reason.OUT_OF_REACH, Reason.INVALID))
-    return columns | {"reason": found.reason.astype(np.int8), "reachable": found.success, "proven": sure}

@@ -44,10 +44,18 @@ FLOORS = [  # what the house is made of, from the ground up
 ROOT = Path(jaxik.__file__).parent
 
 
-def _imports(path):
+def _modules(path):
+    """What a file imports of jaxik, by the dotted names of modules; a plain `import jaxik` as "jaxik"."""
     for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("jaxik"):
-            yield from ([node.module.split(".")[1]] if "." in node.module else [a.name for a in node.names])
+        if isinstance(node, ast.Import):
+            yield from (a.name for a in node.names if a.name.split(".")[0] == "jaxik")
+        elif isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "jaxik":
+            yield from (f"{node.module}.{a.name}" for a in node.names)
+
+
+def _imports(path):
+    """The floors that a file imports from."""
+    return {[*name.split("."), ""][1] for name in _modules(path)}
 
 
 def test_layering():
@@ -57,9 +65,21 @@ def test_layering():
             continue
         assert own in FLOORS, f"{own} has no floor"
         for other in _imports(path):
-            public = own == "cli" and other not in FLOORS  # the command line may use the public names
+            public = own in ("cli", "__main__") and other not in FLOORS  # the command line may use the public names
             below = other in FLOORS and FLOORS.index(other) < FLOORS.index(own)
             assert public or other == own or below, f"{path.relative_to(ROOT)} imports {other}"
+
+
+def test_no_circles():
+    """Modules import each other one way only, late imports included."""
+    names = {".".join(["jaxik", *path.relative_to(ROOT).with_suffix("").parts]): path for path in ROOT.rglob("*.py")}
+    known = {}
+    for name, path in names.items():
+        used = set(_modules(path))
+        known[name] = {part for part in used | {each.rpartition(".")[0] for each in used} if part in names} - {name}
+    while leaves := {name for name, used in known.items() if not used & known.keys()}:
+        known = {name: used for name, used in known.items() if name not in leaves}
+    assert not known, sorted(known)
 
 
 def test_no_name_hides_a_module():

@@ -180,7 +180,7 @@ def test_a_bad_scene_is_one_line(tmp_path, text, words):
 
 
 def test_the_picture_says_what_became_of_each_fruit(harvest):
-    """In words; and of a fruit that is blocked it shows the posture that would be free without what is in the way."""
+    """The words; and, for a blocked fruit, the posture that would be free without what is in the way."""
     clear = jax.jit(jaxik.clearance, static_argnums=0)
     for row in harvest:
         if row.success:

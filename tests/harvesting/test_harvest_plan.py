@@ -31,7 +31,7 @@ def plan(harvested):
 
 
 def test_motions_are_free_and_within_the_limits(plan):
-    """By distances in NumPy; what touches a fruit where it hangs is no obstacle to it until the end of its retreat."""
+    """Judged by distances in NumPy; what touches a fruit where it hangs is no obstacle to it until the end of its retreat."""
     found = checked(plan, 0.03)
     assert found["clearance"] > MARGIN - 1e-5 and found["samples"] > 400 and found["beyond"] <= 1e-9
     assert max(found["velocity"], found["acceleration"]) <= 1.0 + 1e-9
@@ -82,7 +82,7 @@ def test_rows_have_what_those_of_the_harvest_have(plan, harvested):
 
 
 def test_the_shortest_order_is_shorter_than_the_rows(harvested):
-    """By more than 15 %, of what was planned, against the best posture of each fruit from left to right."""
+    """Shorter by more than 15 %, of what was planned, than the best posture of each fruit from left to right."""
     row = jaxik.harvesting.plan_harvest(harvested, order="row", candidates=1, margin=MARGIN)
     shortest = jaxik.harvesting.plan_harvest(harvested, margin=MARGIN)
     places = {fruit.name: fruit.position[0] for fruit in harvested.scene.marks}
@@ -113,7 +113,7 @@ def test_a_body_that_is_not_round_is_carried_as_it_is_grasped():
 
 
 def test_tours_are_the_shortest(monkeypatch):
-    """Of all orders and members, by subsets and by search."""
+    """The shortest of all orders and members, by subsets and by search."""
     rng = np.random.default_rng(0)
     for _ in range(3):
         costs = rng.uniform(1.0, 2.0, (13, 13))
@@ -134,7 +134,7 @@ def test_no_groups_are_no_tour():
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# What is said, written and shown
+# Words, files and pictures
 
 
 @pytest.mark.parametrize(

@@ -130,7 +130,7 @@ def test_nothing_is_missed_that_was_said_to_be_proven():
 
 
 def test_two_leading_joints_of_which_one_turns(tmp_path, monkeypatch):
-    """By kernels alone, those over 1,681 positions too."""
+    """Kernels alone answer, those over 1,681 positions too."""
     monkeypatch.setattr(HostKernel, "by_xla", None)
     turn = '[[joint]]\nname = "turn"\ntype = "revolute"\na = 0.2\nlower_deg = -60\nupper_deg = 60\n\n'
     text = (models_folder() / "p6r.toml").read_text()
@@ -489,7 +489,7 @@ def test_a_store_begun_before_every_piece_wrote_its_targets_goes_on(two, tmp_pat
 
 
 def test_stop_and_go_on(two, tmp_path):
-    """In the first variant, where its last chunk is the second's first to come, and in the second."""
+    """Stopped in the first variant, where its last chunk is the second's first to come, and in the second."""
     path, done = tmp_path / "s.zarr", 0
     for count in (3, 6, 4):
         seen = []
@@ -520,7 +520,7 @@ def test_files_are_those_that_zarr_writes(two, tmp_path, monkeypatch):
 
 
 def test_damage_is_found_named_and_mended(two, tmp_path):
-    """In both variants; of a target's position in whichever shard finds it."""
+    """Damage in both variants; that of a target's position in whichever shard finds it."""
     path = tmp_path / "d.zarr"
     jaxik.sweep(TWO, path)
     spoil(path / "q" / "c" / "1" / "2" / "0")
@@ -545,7 +545,7 @@ def test_damage_is_found_named_and_mended(two, tmp_path):
 
 @pytest.mark.parametrize("name", ["reason", "proven"])
 def test_damage_in_another_shard_s_chunk(two, tmp_path, name):
-    """What is counted at the end is of all: a chunk that cannot be is named, and with repair it is open to its own shard."""
+    """The counts at the end are of all: a chunk that cannot be is named, and with repair it is open to its own shard."""
     path = tmp_path / "d.zarr"
     jaxik.sweep(TWO, path, shard="1/2")
     spoil(path / name / "c" / "0" / "2")
@@ -618,7 +618,7 @@ Store.write = held
 
 
 def test_command(tmp_path, two):
-    """From a TOML file by the command; Ctrl-C ends after the running chunk, and the same command goes on."""
+    """A sweep of a TOML file by the command; Ctrl-C ends after the running chunk, and the same command goes on."""
     grid = "\n".join(f"{k} = {json.dumps(v)}" for k, v in TWO["targets"].items())
     top = "\n".join(f"{k} = {json.dumps(v)}" for k, v in TWO.items() if k not in ("targets", "base"))
     (tmp_path / "two.toml").write_text(f"{top}\n[base]\ny = [0.0, 0.1]\n[targets]\n{grid}\n")
