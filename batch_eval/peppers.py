@@ -27,7 +27,7 @@ from race import clocked, machine
 from scipy.spatial.transform import Rotation, Slerp
 
 import jaxik
-from jaxik.collision.clearances import link_clearances
+from jaxik.collision import link_clearances
 from jaxik.costs import collision_cost, joint_limit_cost
 from jaxik.motions import Curve, follow
 from jaxik.planning import TrajectoryResult, optimise_trajectory

@@ -27,7 +27,8 @@ from scipy.interpolate import CubicSpline
 
 import jaxik
 from jaxik.motions.predictive import future, objective
-from jaxik.optimise.descent import QUASI_NEWTON, DescentOptions, Direction, Search
+from jaxik.optimise import QUASI_NEWTON, DescentOptions
+from jaxik.optimise.descent import Direction, Search
 
 HORIZON, ARM = pendulum.horizon(), pendulum.arm()
 DT, COUNT = HORIZON.dt, HORIZON.count

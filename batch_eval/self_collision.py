@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxik
-from jaxik.collision.clearances import link_clearances
+from jaxik.collision import link_clearances
 from jaxik.motions import PredictiveController, PredictOptions
 
 DT, DURATION = 0.01, 4.0

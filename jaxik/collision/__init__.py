@@ -1,7 +1,7 @@
 """A scene, and how far a robot is from it and from itself."""
 
 from jaxik.collision.attached import Attached, attach
-from jaxik.collision.clearances import clearance, collides, object_clearances
+from jaxik.collision.clearances import clearance, collides, link_clearances, object_clearances
 from jaxik.collision.contact_report import Contact, Limit, Nearby, explain
 from jaxik.collision.continuous_collision import MotionClearance, motion_clearance
 from jaxik.collision.scene import Mark, Scene
@@ -21,6 +21,7 @@ __all__ = [
     "clearance",
     "collides",
     "explain",
+    "link_clearances",
     "make_scene",
     "motion_clearance",
     "object_clearances",
