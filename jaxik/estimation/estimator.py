@@ -24,8 +24,8 @@ from jaxik.spmd import HostKernel, Stepped
 
 
 class Estimator(Stepped):
-    """What `estimate` and `ControlLoop` take. A subclass is hashable, and has a `robot`, the fields of a sample that it
-    `reads`, and the methods `sense`, `init` and `advance`.
+    """The base of what `estimate` and `ControlLoop` take. A subclass is hashable, and has a `robot`, the fields of a sample
+    that it `reads`, and the methods `sense`, `init` and `advance`.
 
         loop = ControlLoop(estimator)
         state = loop.start(sample)  # compiles
@@ -121,7 +121,7 @@ def _sense(estimator: Estimator) -> HostKernel:
 
 
 def _sensed(estimator: Estimator, rows: list[np.ndarray]) -> Any:
-    """What the estimator senses of rows, a tree of leaves (b, ...)."""
+    """Returns what the estimator senses of rows, a tree of leaves (b, ...)."""
     kernel = _sense(estimator)
     tree = jax.tree_util.tree_structure(jax.eval_shape(kernel.function, *(x[0] for x in rows)))
     return jax.tree_util.tree_unflatten(tree, kernel(*rows))

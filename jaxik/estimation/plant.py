@@ -246,7 +246,7 @@ def _on_body(robot: Robot, push: Push) -> _OnBody:
 
 
 def _pushed(mujoco: Any, model: Any, data: Any, pushes: Sequence[_OnBody], t: float) -> np.ndarray:
-    """What the pushes do to the joints (n,) now, by MuJoCo's own Jacobian."""
+    """Returns what the pushes do to the joints (n,) now, by MuJoCo's own Jacobian."""
     total = np.zeros(model.nv)
     active = [each for each in pushes if each.push.start <= t < each.push.end]
     if active:

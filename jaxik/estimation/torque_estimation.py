@@ -37,7 +37,7 @@ from jaxik.pytree import Constant
 
 
 class TorqueFilter(Constant):
-    """What the filter knows of n joints, each (n,), in N for Nm and m for rad at a prismatic joint.
+    """The numbers of n joints that the filter needs, each (n,), in N for Nm and m for rad at a prismatic joint.
 
     What the sensors show of a unit of torque: `current_per_torque` 1 / (N k) [A/Nm], `torsion_per_torque` 1 / c [rad/Nm], 0 for
     a stiff gear. And variances: of the external torque's change from sample to sample, `process` Q [Nm2]; of the sensors'
@@ -162,7 +162,7 @@ class TorqueEstimator(Estimator):
         return Sensed(torque * filter.current_per_torque, torsion + rotor * filter.torsion_per_torque, internal)
 
     def _measured(self, sample: Motion, name: str) -> Any:
-        """What a sensor shows; zeros for one that no joint has, which counts for nothing."""
+        """Returns what a sensor shows; zeros for one that no joint has, which counts for nothing."""
         return sample.needed("torque estimator", name) if self._has(name) else 0.0 * sample.q
 
     def init(self, sensed: Sensed) -> SteadyState:

@@ -1,4 +1,4 @@
-"""What logs tell by least squares alone: base parameters, their standard errors, and where friction is not linear.
+"""The fit of logs by least squares alone: base parameters, their standard errors, and where friction is not linear.
 
 Each joint's residuals count by that joint's own noise.
 """
@@ -44,7 +44,8 @@ class WeightedFit(NamedTuple):
 
 
 def repeated(left: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """In how many rows the same noise stands (n,), of what is left (k, n) in the rows that count (k, n): as a filter makes it.
+    """Counts in how many rows the same noise stands (n,), as a filter makes it, from what is left (k, n) in the rows that
+    count.
 
     `1 + 2 sum of rho_k`, rho_k being the correlation k rows apart, up to the first that is not above 0 [Geyer 1992].
     """

@@ -1,8 +1,8 @@
-"""That a motion comes no nearer to obstacles, and to itself, than a margin: what its samples cost, and a proof of all of it.
+"""A margin that a motion keeps from obstacles, and from the robot itself: a cost of its samples, and a proof of all of it.
 
     cost = sum over samples and links of max(0, 1 - (d - margin) / NEAR)^2,    d the link's clearance
 
-The proof is that of straight motions between samples, which keep as much more as a bent one may be off.
+The proof is one of straight motions between samples, which keep as much more as a bent one may be off.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ NEAR = 0.03  # [m] beyond the margin, where a link begins to cost
 
 
 class ClearSpace:
-    """Of one robot in one scene, with `margin` [m]; configurations are rows (k, n).
+    """The room of one robot in one scene, with `margin` [m]; configurations are rows (k, n).
 
-    Raises `ValueError` for a robot whose shapes nobody knows.
+    Raises `ValueError` for a robot without shapes.
     """
 
     def __init__(self, who: str, robot: Robot, scene: Scene | None, margin: float):
@@ -46,7 +46,7 @@ class ClearSpace:
         return float(np.sum(depth**2)), np.asarray(np.einsum("kl,kln->kn", -2.0 / NEAR * depth, slopes))
 
     def room(self, q: np.ndarray) -> np.ndarray:
-        """How much more than the margin each configuration keeps (k,) [m]."""
+        """Returns how much more than the margin each configuration keeps (k,) [m]."""
         return np.asarray(self._contacts(q)[0].min(axis=1, initial=np.inf) - self.margin)
 
     def keeps(self, q: np.ndarray, dt: float, acceleration: float) -> bool:

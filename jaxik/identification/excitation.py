@@ -100,7 +100,7 @@ class ExciteResult(Result):
 
 
 def _series(times: np.ndarray, period: float, harmonics: int) -> np.ndarray:
-    """What coefficients (2 h,) are in position, rate and acceleration, (3, k, 2 h)."""
+    """Returns the matrix from coefficients (2 h,) to position, rate and acceleration, (3, k, 2 h)."""
     orders = np.arange(1, harmonics + 1)
     w, weight = 2.0 * np.pi / period * orders, 1.0 / orders**2
     sine, cosine = np.sin(np.outer(times, w)) * weight, np.cos(np.outer(times, w)) * weight
@@ -183,7 +183,7 @@ class _Search:
         return np.asarray(rows.T @ (pulled * scale) - rows[bound].T * fall)
 
     def condition(self, motion: np.ndarray) -> float:
-        """Of the base parameters' columns at equal lengths."""
+        """Returns the condition number of the base parameters' columns at equal lengths."""
         return condition(self.columns(motion).reshape(-1, len(self.base)))
 
 

@@ -70,7 +70,7 @@ class IdentifyOptions(LogOptions, who="identify"):
 
 
 class FitResult(Result):
-    """What logs told: the excitation's `condition` number (columns of equal length); of each joint the root mean square
+    """A fit of logs: the excitation's `condition` number (columns of equal length); of each joint the root mean square
     `residual` (n,) [Nm, N] and the `rows` that counted (n,); and the `reason`: SOLVED, UNEXCITED, UNEXPLAINED or
     NOT_CONVERGED."""
 

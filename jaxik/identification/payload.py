@@ -1,4 +1,4 @@
-"""What is at the tip, from motions with it and without.
+"""The load at the tip, from motions with it and without.
 
 Behind their friction the drives give T = M qddot + b + g, and with a load of ten parameters phi (mass, moments, inertia about
 the tip's origin) Y phi more, Y being the regressor of what moves with the last joint. So of two logs of one motion
@@ -162,7 +162,7 @@ def _check_one_motion(robot: Robot, q: np.ndarray, other: np.ndarray) -> None:
 
 
 def _missing(robot: Robot, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """What the drives give behind friction beyond what the model asks for (k, n)."""
+    """Returns what the drives give behind friction beyond what the model asks for (k, n)."""
     with jax.enable_x64(True):
         return np.array(_beyond(robot)(q, qdot, qddot, torque)[0])
 
@@ -183,7 +183,7 @@ def _regressors(robot: Robot, q: Any, qdot: Any, qddot: Any) -> Any:
 
 
 def _of_tip(joint_T_tip: Float[np.ndarray, "4 4"]) -> np.ndarray:
-    """Of parameters in the tip's frame those in the last joint's (10, 10): P' = T P T'."""
+    """Makes the matrix from parameters in the tip's frame to those in the last joint's (10, 10): P' = T P T'."""
     pseudo = TO_PSEUDO.reshape(INERTIAL, 4, 4)
     return np.asarray(((joint_T_tip @ pseudo @ joint_T_tip.T).reshape(INERTIAL, 16) @ FROM_PSEUDO).T)
 
@@ -204,7 +204,7 @@ def _as_body(parameters: np.ndarray) -> np.ndarray:
 
 
 def _slope(parameters: np.ndarray) -> np.ndarray:
-    """Its derivative (13, 10), by steps that are imaginary, and so as small as can be."""
+    """Differentiates `_as_body` (13, 10), by steps that are imaginary, and so as small as can be."""
     return np.array([_as_body(parameters + 1e-30j * one).imag / 1e-30 for one in np.eye(INERTIAL)]).T
 
 

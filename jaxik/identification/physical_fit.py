@@ -36,7 +36,7 @@ FIRST = 1e-3  # every coefficient of friction, for the bounds are none to start 
 
 
 def _matrix() -> np.ndarray:
-    """What the parameters (10,) are in the entries of P (16,)."""
+    """Makes the matrix from the parameters (10,) to the entries of P (16,)."""
     rows = np.zeros((10, 4, 4))
     rows[0, 3, 3] = 1.0
     for i in range(3):
@@ -100,7 +100,7 @@ class Found(NamedTuple):
 
 
 def physical_fit(problem: Problem, curve: Curve, noise: np.ndarray, known: np.ndarray, prior: float, steps: int) -> Found:
-    """From the `known` bodies' parameters (10 n,) on; residuals count by the `noise` (n,), coordinates by the `prior`."""
+    """Fits from the `known` bodies' parameters (10 n,) on; residuals count by the `noise` (n,), coordinates by the `prior`."""
     columns, _, torque, joint = problem.rows(curve)
     bounded = np.repeat([term != "asymmetry" for term in problem.terms], len(noise))
     bodies, friction, settled = nearest_bodies(columns, torque, 1.0 / noise[joint], known, bounded, prior, steps)
@@ -119,8 +119,8 @@ def nearest_bodies(
     prior: float,
     steps: int,
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Bodies (n, 10) around those `known` (10 n,) and other coefficients (c,), at least 0 where `bounded` (c,), which explain
-    rows (r, 10 n + c) and (r,), by their weights (r,); and whether the search came to an end."""
+    """Finds bodies (n, 10) around those `known` (10 n,) and other coefficients (c,), at least 0 where `bounded` (c,), which
+    explain rows (r, 10 n + c) and (r,), by their weights (r,); and whether the search came to an end."""
     from scipy.optimize import least_squares
 
     around, n = Bodies(known), len(known) // 10

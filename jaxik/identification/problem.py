@@ -53,7 +53,7 @@ def _checked(who: str, robot: Robot, log: Motion) -> list[np.ndarray]:
 
 
 def _effort(robot: Robot, who: str, arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """What the motors and the springs give, less what the springs are known to give."""
+    """Returns the motors' torques: what is measured, less what the springs are known to give."""
     if "current" in arrays:
         if not robot.drives:
             raise ValueError(f"{who}: currents of {robot.name}, which has no drives; give torque, or use robot.with_drives")
@@ -99,7 +99,7 @@ class Problem:
 
     @functools.cached_property
     def factors(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Of each joint's rows that count, the bodies' columns as an orthogonal basis and a triangle: most of the matrix, and
+        """The bodies' columns, in each joint's rows that count, as an orthogonal basis and a triangle: most of the matrix, and
         what never changes. The bodies before a joint are nothing to it."""
         found = []
         for j, rows in enumerate(self.counts.T):
@@ -112,7 +112,7 @@ class Problem:
         return friction_columns(self.terms, self.ratio, self.qdot, self.qddot, *curve)
 
     def friction_of(self, joint: int, curve: Curve) -> np.ndarray:
-        """Those of one joint, in the rows that count for it (k, t)."""
+        """The columns of one joint, in the rows that count for it (k, t)."""
         rows, own = self.counts[:, joint], slice(joint, joint + 1)
         qdot, qddot, load = (x[rows, own] for x in (self.qdot, self.qddot, curve.load))
         return friction_columns(self.terms, self.ratio[own], qdot, qddot, load, curve.stribeck[own])[:, :, 0].T
@@ -133,7 +133,7 @@ class Problem:
         return np.asarray(np.sign(self.qdot) * 2.0 * part / (1.0 + part) ** 2)
 
     def steepness(self, coefficients: np.ndarray) -> np.ndarray:
-        """What `Rows.bend` is multiplied by (n,): how much more friction is at rest, by `coefficients` (t, n) of the terms."""
+        """The factor of `Rows.bend` (n,): how much more friction is at rest, by `coefficients` (t, n) of the terms."""
         of = dict(zip(self.terms, coefficients, strict=True))
         return np.asarray(of["breakaway"] - of.get("coulomb", 0.0))
 
@@ -151,7 +151,7 @@ class Problem:
         return load + self.qddot * rotors[0] if rotors else load
 
     def left(self, bodies: np.ndarray, coefficients: np.ndarray, curve: Curve) -> np.ndarray:
-        """What bodies (10 n,) and friction's coefficients (t, n) leave of the torques (K, n)."""
+        """Returns what bodies (10 n,) and friction's coefficients (t, n) leave of the torques (K, n)."""
         rubs = np.einsum("tkn,tn->kn", np.asarray(self.friction(curve)).reshape(-1, *self.qdot.shape), coefficients)
         return np.asarray(self.torque - self.rotor - self.bodies @ bodies - rubs)
 

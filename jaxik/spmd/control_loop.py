@@ -1,4 +1,4 @@
-"""What has a state, in a control loop: NumPy in, NumPy out, one kernel a sample.
+"""Objects with a state in a control loop: NumPy in, NumPy out, one kernel a sample.
 
 A kernel's call costs a microsecond for each array, and so does each array that is cut out of a row. So a step is a kernel of
 one row, and the state is taken apart only if somebody looks at it.
@@ -21,8 +21,8 @@ from jaxik.spmd.scalarise import Unsupported
 
 
 class Stepped:
-    """What a `ControlLoop` runs. A subclass has `init` and `step`, pure and traced, of trees of arrays whose shapes stay the
-    same, and `begun`, which knows these shapes; the rest is for those that take a sample in another form."""
+    """The base of what a `ControlLoop` runs. A subclass has `init` and `step`, pure and traced, of trees of arrays whose shapes
+    stay the same, and `begun`, which knows these shapes; the rest is for those that take a sample in another form."""
 
     who: str = "control"  # asks in messages
 

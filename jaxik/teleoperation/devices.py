@@ -62,7 +62,7 @@ class GamePad(_Silent):
         self._axes, self._sticks, self._buttons = axes, np.zeros(6), np.zeros(buttons)
 
     def read(self) -> Hand:
-        """Where the sticks are; the kernel tells of changes alone, so that a pad that is there is never silent."""
+        """Returns where the sticks are; the kernel tells of changes alone, so that a pad that is there is never silent."""
         while select.select([self._file], [], [], 0.0)[0] and len(told := os.read(self._file, _EVENT.size)) == _EVENT.size:
             _, value, kind, number = _EVENT.unpack(told)
             if kind & _AXIS and number in self._axes:
@@ -104,7 +104,7 @@ class Keyboard(_Silent):
         self._position, self._turn, self._until, self._clutch = np.zeros(3), np.zeros(3), -np.inf, 0.0
 
     def read(self) -> Hand:
-        """What the keys since the last call have made of it."""
+        """Returns the hand after the keys since the last call."""
         while select.select([self._stream], [], [], 0.0)[0] and (told := os.read(self._stream.fileno(), 1)):
             self._pressed(told.decode(errors="ignore"))
         turn = self._turn if self._clock() < self._until else np.zeros(3)

@@ -28,9 +28,9 @@ NOBODY = Hand(np.full(3, np.nan), np.zeros(3), np.zeros(1), math.inf)
 
 
 class Device(Protocol):
-    """What a person holds: three functions, none of which may wait. `read` gives the hand, or None where there is nothing new;
-    `render` shows a force (3,) [N] along the world's axes, if the device can; `close` lets it go. A device that is gone raises
-    `OSError`."""
+    """A device that a person holds: three functions, none of which may wait. `read` gives the hand, or None where there is
+    nothing new; `render` shows a force (3,) [N] along the world's axes, if the device can; `close` lets it go. A device that is
+    gone raises `OSError`."""
 
     def read(self) -> Hand | None: ...
 

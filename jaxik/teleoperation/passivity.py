@@ -1,7 +1,7 @@
-"""What goes between a hand and an arm that are apart, so that the delay between them makes no energy.
+"""Channels between a hand and an arm that are apart, so that the delay between them makes no energy.
 
 At the hand's end the loop takes the hand's velocity v_h (the one it asks of the tip) and renders a force f_h on the hand; at
-the arm's end it takes the force f_a on the tip and gives the tip's velocity v_a. Of all that has ever gone in and come out
+the arm's end it takes the force f_a on the tip and gives the tip's velocity v_a. The sum of all that has gone in and come out
 
     E(k) = sum over samples of (-f_h v_h + f_a v_a) dt >= 0                                                (passivity)
 
@@ -12,7 +12,7 @@ methods keep it, for any delay, any jitter and any loss:
 
     f v = (u^2 - w^2) / 2,     u = (b v + F) / sqrt(2 b),     w = (b v - F) / sqrt(2 b)
 
-so what is underway is stored energy. Of u and w the integrals travel, and the energy, and an end plays back no more energy than
+so what is underway is stored energy. The integrals of u and w travel, and the energy, and an end plays back no more energy than
 has arrived: whatever the network does, and without drift [after Niemeyer and Slotine 1998]. The arm's end is a damper b, so
 that nothing is reflected where the arm is free:  v_a = u / sqrt(2 b) + f_a / (2 b),  w = sqrt(2 b) v_a - u.  The hand feels  -b
 v_h + f_a, late.
@@ -40,8 +40,8 @@ from jaxik.teleoperation.hand_mapping import bounded
 
 
 class Packet(NamedTuple):
-    """What one end tells the other: `values` (3,), the integral of a velocity or of a wave, or a force; and an energy [J] that
-    never falls."""
+    """A message of one end to the other: `values` (3,), the integral of a velocity or of a wave, or a force; and an energy [J]
+    that never falls."""
 
     values: Float[Array, "3"]
     energy: Float[Array, ""]
@@ -58,13 +58,13 @@ class End(NamedTuple):
 
 
 def silence() -> Packet:
-    """What is received before anything was sent."""
+    """Returns what is received before anything was sent."""
     return Packet(jnp.zeros(3), jnp.zeros(()))
 
 
 class Channel(Protocol):
-    """What `Teleoperation` takes: both ends of the way between hand and arm, pure and traced. Forces (3,) [N] are those on the
-    hand and on the arm, velocities (3,) [m/s]."""
+    """A channel that `Teleoperation` takes: both ends of the way between hand and arm, pure and traced. Forces (3,) [N] are
+    those on the hand and on the arm, velocities (3,) [m/s]."""
 
     def init(self) -> End:
         """One end, before anything was sent."""
@@ -86,11 +86,11 @@ class Channel(Protocol):
         ...
 
     def share(self, end: End, force: Any, moved: Any, dt: float) -> Any:
-        """What share of the velocity that the arm would have `moved` with, which its limits may make another, it may have."""
+        """Returns what share of the velocity that the arm would have `moved` with, which its limits may change, it may have."""
         ...
 
     def reply(self, end: End, force: Any, velocity: Any, moved: Any, dt: float) -> tuple[End, Packet]:
-        """What is sent to the hand after the arm was told `velocity` and has `moved`."""
+        """Returns what is sent to the hand after the arm was told `velocity` and has `moved`."""
         ...
 
 

@@ -50,8 +50,8 @@ from jaxik.teleoperation.reflection import Felt, reflect
 
 
 class Asked(NamedTuple):
-    """What the hand's end sends: the channel's packet, the turn (3,) [rad/s], whether the arm is to be held, and whether the
-    hand leads it."""
+    """The message of the hand's end: the channel's packet, the turn (3,) [rad/s], whether the arm is to be held, and whether
+    the hand leads it."""
 
     packet: Packet
     turn: Float[Array, "3"]

@@ -21,8 +21,8 @@ from jaxik.teleoperation.teleoperation import Teleoperation, TeleoperationComman
 
 
 class TeleoperationResult(Result):
-    """What happened, a row a sample: the `motion` (t, n), its time, q and velocity; the tip's place (t, 3) in world axes from
-    the base, the hand's (t, 3) [m], and the command, whose reason is that of the sample."""
+    """A simulated teleoperation, a row a sample: the `motion` (t, n), its time, q and velocity; the tip's place (t, 3) in world
+    axes from the base, the hand's (t, 3) [m], and the command, whose reason is that of the sample."""
 
     motion: Motion
     tip: Float[Array, "*t 3"]

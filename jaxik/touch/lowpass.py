@@ -15,7 +15,8 @@ from jaxik.checks.options import as_count, check_finite
 
 @dataclasses.dataclass(frozen=True)
 class Butterworth:
-    """Of an `order`, with its -3 dB at `cutoff` [Hz], of samples of `dt` [s]: `scipy.signal.butter(..., output="sos")`.
+    """The filter of an `order`, with its -3 dB at `cutoff` [Hz], for samples of `dt` [s]: `scipy.signal.butter(...,
+    output="sos")`.
 
     It delays what is slow by about `order / (2 pi cutoff) * 2 / pi` [s]: 80 ms at order 8 and 10 Hz. A cutoff
     a thousandth of the samples' rate, or less, wants float64. Raises `ValueError` for one that samples of `dt` do not show.
@@ -51,12 +52,12 @@ class Butterworth:
         return np.asarray(sosfilt_zi(self.sections))
 
     def init(self, x: Any) -> jax.Array:
-        """The state (s, 2, ...) as if x, of any shape, had been there for ever. Traced."""
+        """Returns the state (s, 2, ...) as if x, of any shape, had been there for ever. Traced."""
         x = jnp.asarray(x)
         return jnp.asarray(self.steady, x.dtype).reshape(*self.steady.shape, *(1,) * x.ndim) * x
 
     def step(self, state: Any, x: Any) -> tuple[jax.Array, jax.Array]:
-        """The next state, and the sample's filtered value. Traced."""
+        """Returns the next state, and the sample's filtered value. Traced."""
         after = []
         for (b0, b1, b2, _, a1, a2), (first, second) in zip(self.sections.tolist(), state, strict=True):
             y = b0 * x + first  # direct form II, transposed

@@ -71,7 +71,7 @@ class ReactionCommand(Result):
 
 
 class ReactionState(NamedTuple):
-    """What is kept from sample to sample: of k contacts the link's `joint` count (k,), the `point` (k, 3) and the last
+    """The state from sample to sample: for k contacts the link's `joint` count (k,), the `point` (k, 3) and the last
     `direction` (k, 3) of the forces, as parts of their root of squares; the forces' filter; the depth [m] from where the force
     passed its threshold, and the filter of that depth and of the force above it; for how long the force has been below [s];
     the stiffness; the laws of the null space and of the task; the last command's rates (n,)."""

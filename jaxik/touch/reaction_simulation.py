@@ -30,8 +30,9 @@ from jaxik.touch.spring_contact import SpringContact
 
 
 class ReactionResult(Result):
-    """What happened, a row a sample (t, ...): the `motion`, its time, q and velocity; the true `force` on the arm [N], the one
-    that was `felt`, the `stiffness` [N/m] that was believed, the task's `error` (t, m) [m, rad], and each sample's reason."""
+    """A simulated reaction, a row a sample (t, ...): the `motion`, its time, q and velocity; the true `force` on the arm [N],
+    the one that was `felt`, the `stiffness` [N/m] that was believed, the task's `error` (t, m) [m, rad], and each sample's
+    reason."""
 
     motion: Motion
     force: Float[Array, "*t"]
@@ -115,7 +116,7 @@ def _simulation(reaction: Reaction, sensor: TouchSensor | None) -> Any:
 
 
 def _touched(robot: Robot, q: Any, rate: Any, met: Encounter) -> PointForce:
-    """What an obstacle does to the arm."""
+    """Returns what an obstacle does to the arm."""
     point = material_point(robot, q, met.joint, met.point)
     velocity = point_jacobian(robot, q, met.joint, point) @ rate
     return PointForce(jnp.asarray(met.joint), point, met.obstacle.force(point, velocity))

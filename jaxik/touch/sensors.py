@@ -61,7 +61,7 @@ class TouchSensor:
             check_finite("touch sensor: point", x=self.point[0], y=self.point[1], z=self.point[2])
 
     def init(self, contacts: int = 1, dtype: Any = float) -> SensorState:
-        """Before the first reading, which is the first sample's. Traced."""
+        """Returns the state before the first reading, which is the first sample's. Traced."""
         as_count("touch sensor: contacts", contacts)
         zeros = lambda *shape: jnp.zeros(shape, dtype)
         return SensorState(zeros(), zeros(contacts), zeros(contacts, 3), zeros(contacts, 3))
@@ -69,8 +69,8 @@ class TouchSensor:
     def step(
         self, state: SensorState, robot: Robot, q: Any, true: PointForce, noise: Any = 0.0
     ) -> tuple[SensorState, PointForce]:
-        """What it shows of a stack of true contacts at q (n,), or of one; `noise` is a sample of unit variance. Traced. Raises
-        `ValueError` for another number of contacts than it began with, and for a joint that the robot does not have."""
+        """Returns what it shows of a stack of true contacts at q (n,), or of one; `noise` is a sample of unit variance. Traced.
+        Raises `ValueError` for another number of contacts than it began with, and for a joint that the robot does not have."""
         joints, point, force = as_point_forces("touch sensor", true, len(state.force))
         check_joint("touch sensor", robot, true.joint)
         q = as_configuration(robot, q)
@@ -116,15 +116,15 @@ class Skin(Constant):
         super().__post_init__()
 
     def pressed(self, robot: Robot, q: Any, obstacle: Any) -> jax.Array:
-        """What each cell feels (m,) [N] of an obstacle that gives way, as `SpringContact` does. Traced."""
+        """Returns what each cell feels (m,) [N] of an obstacle that gives way, as `SpringContact` does. Traced."""
         normals = self._normals(robot, q)
         return jnp.stack(
             [jnp.maximum(obstacle.force(p) @ n, 0.0) for p, n in zip(self._places(robot, q), normals, strict=True)]
         )
 
     def contact(self, robot: Robot, q: Any, pressed: Any) -> PointForce:
-        """The resultant of what the cells feel (m,) [N], at the mean of the places of those that are pressed, by it. Traced.
-        Where none feels anything the force is 0. Raises `ValueError` for another shape."""
+        """Returns the resultant of what the cells feel (m,) [N], at the mean of the places of those that are pressed, by it.
+        Traced. Where none feels anything the force is 0. Raises `ValueError` for another shape."""
         pressed = as_shaped("skin: pressed", pressed, (len(self.points),))
         normals, places = self._normals(robot, q), self._places(robot, q)
         push = jnp.maximum(pressed, 0.0)  # an offset's pull would lead off the skin
