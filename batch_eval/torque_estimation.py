@@ -51,7 +51,7 @@ PROCESS = 0.05  # Q [Nm2 a sample]; the covariances are swept against it
 
 def known(process: float = PROCESS, current: float = 0.05**2, torsion: float = np.inf) -> TorqueFilter:
     """The filter; covariances of the sensors in A^2 and rad^2."""
-    return TorqueFilter.of_drives(model(), process, current, torsion)
+    return TorqueFilter.of_drives(model(), process, current, torsion_noise=torsion)
 
 
 def rmse(errors: np.ndarray, log: Played) -> list[float]:

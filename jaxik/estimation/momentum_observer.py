@@ -60,6 +60,7 @@ class MomentumObserver(Estimator):
     robot: Robot
     gain: float | Float[np.ndarray, " n"]
     dt: float
+    _: dataclasses.KW_ONLY
     width: float = 0.0
     reads = "q", "velocity", "current"
 

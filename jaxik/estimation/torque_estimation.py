@@ -69,7 +69,7 @@ class TorqueFilter(Constant):
         super().__post_init__()
 
     @staticmethod
-    def of_drives(robot: Robot, process: Any, current_noise: Any, torsion_noise: Any = np.inf) -> TorqueFilter:
+    def of_drives(robot: Robot, process: Any, current_noise: Any, *, torsion_noise: Any = np.inf) -> TorqueFilter:
         """Makes the filter of what the robot's drives say of their sensors; variances of all joints alike, or (n,). Host.
 
         Raises `ValueError` for a robot without drives.
@@ -132,6 +132,7 @@ class TorqueEstimator(Estimator):
 
     robot: Robot
     filter: TorqueFilter
+    _: dataclasses.KW_ONLY
     width: float = 0.0
 
     def __post_init__(self) -> None:

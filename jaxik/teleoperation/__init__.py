@@ -1,8 +1,7 @@
 """Steering a robot by hand: devices, mappings, passivity over a delayed channel, and the force that the hand feels."""
 
 from jaxik.teleoperation.delay_line import DelayLine
-from jaxik.teleoperation.devices import GamePad, Keyboard
-from jaxik.teleoperation.hand import Device, Hand, Watchdog
+from jaxik.teleoperation.devices import Device, GamePad, Hand, Keyboard, Watchdog
 from jaxik.teleoperation.hand_mapping import PositionControl, RateControl
 from jaxik.teleoperation.passivity import PassivityController, WaveVariables
 from jaxik.teleoperation.reflection import reflect

@@ -1,7 +1,12 @@
-"""Devices that anyone has: a game pad, the keyboard of a terminal, and a recording. None of them renders forces."""
+"""A person's hand as a device shows it, the devices that anyone has, and the watch that notices when one says nothing.
+
+A game pad, the keyboard of a terminal, a recording: none of them renders forces.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import math
 import os
 import select
 import struct
@@ -9,12 +14,13 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from jaxtyping import Float
 
+from jaxik.checks.arrays import Array
 from jaxik.checks.options import as_count, check_finite
-from jaxik.teleoperation.hand import Hand
 
 _EVENT = struct.Struct("=IhBB")  # of Linux' joystick interface: time [ms], value, kind, number
 _BUTTON, _AXIS = 1, 2
@@ -22,6 +28,59 @@ KEYS = {  # of the keyboard: along, about
     "d": (0, 1.0), "a": (0, -1.0), "w": (1, 1.0), "s": (1, -1.0), "r": (2, 1.0), "f": (2, -1.0),
     "l": (3, 1.0), "j": (3, -1.0), "i": (4, 1.0), "k": (4, -1.0), "u": (5, 1.0), "o": (5, -1.0),
 }  # fmt: skip
+
+
+class Hand(NamedTuple):
+    """Where a hand is, `position` (3,) [m], along the world's axes; how fast it wants the tip to turn, `turn` (3,) [rad/s];
+    what it presses, `buttons` (k,), of which the first is the clutch; and how long ago that was, `age` [s]."""
+
+    position: Float[Array, "*t 3"]
+    turn: Float[Array, "*t 3"] | Any = (0.0, 0.0, 0.0)
+    buttons: Float[Array, "*t k"] | Any = (0.0,)
+    age: Float[Array, "*t"] | Any = 0.0
+
+
+NOBODY = Hand(np.full(3, np.nan), np.zeros(3), np.zeros(1), math.inf)
+
+
+class Device(Protocol):
+    """A device that a person holds: three functions, none of which may wait. `read` gives the hand, or None where there is
+    nothing new; `render` shows a force (3,) [N] along the world's axes, if the device can; `close` lets it go. A device that is
+    gone raises `OSError`."""
+
+    def read(self) -> Hand | None: ...
+
+    def render(self, force: np.ndarray) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class Watchdog:
+    """A device that always answers: with what it said last, and for how long it has said nothing since. Host.
+
+    `clock` gives the time [s]. Before the first answer the age is infinite.
+    """
+
+    def __init__(self, device: Device, *, clock: Callable[[], float] = time.monotonic):
+        self.device, self.clock = device, clock
+        self._last, self._heard = NOBODY, -math.inf
+
+    def read(self) -> Hand:
+        try:
+            told = self.device.read()
+        except OSError:
+            told = None
+        now = self.clock()
+        if told is not None:
+            self._last, self._heard = told, now
+        return self._last._replace(age=now - self._heard)
+
+    def render(self, force: np.ndarray) -> None:
+        with contextlib.suppress(OSError):  # the next answer grows older
+            self.device.render(force)
+
+    def close(self) -> None:
+        self.device.close()
 
 
 class _Silent:
@@ -44,7 +103,8 @@ class GamePad(_Silent):
 
     def __init__(
         self,
-        file: str | Path = "/dev/input/js0",
+        path: str | Path = "/dev/input/js0",
+        *,
         reach: float = 0.05,
         turning: float = 0.5,
         axes: tuple[int | None, ...] = (0, 1, 4, None, None, 3),
@@ -57,7 +117,7 @@ class GamePad(_Silent):
             raise ValueError(
                 f"game pad: {len(axes)} axes and {len(signs)} signs; allowed: 6, of x, y, z and the turns about them"
             )
-        self._file = os.open(file, os.O_RDONLY | os.O_NONBLOCK)
+        self._file = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
         self._scale = np.array(signs) * np.repeat([reach, turning], 3)
         self._axes, self._sticks, self._buttons = axes, np.zeros(6), np.zeros(buttons)
 
@@ -87,6 +147,7 @@ class Keyboard(_Silent):
     def __init__(
         self,
         stream: Any = None,
+        *,
         step: float = 0.002,
         turning: float = 0.3,
         held: float = 0.15,

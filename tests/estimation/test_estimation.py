@@ -32,7 +32,7 @@ def an_arm(drive=DRIVE):
 
 
 ARM = an_arm()
-FILTER = TorqueFilter.of_drives(ARM, 0.01, 0.1, 1e-8)
+FILTER = TorqueFilter.of_drives(ARM, 0.01, 0.1, torsion_noise=1e-8)
 
 
 @pytest.fixture(scope="module")
