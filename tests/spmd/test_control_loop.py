@@ -51,5 +51,5 @@ def test_refusals():
         loop.step(state.tree, np.zeros(2))
     with pytest.raises(TypeError, match="unexpected keyword argument 'x'"):
         loop.step(state, x=np.zeros(2))
-    with pytest.raises(ValueError, match="control loop: .*; write a Reaction, a Teleoperation, an estimator or a Stepped"):
+    with pytest.raises(ValueError, match=r"control loop: .*; write a Reaction, a Teleoperation, an estimator or a Stepped"):
         ControlLoop(np.sum)
