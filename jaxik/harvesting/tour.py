@@ -21,8 +21,8 @@ AVOIDED = 1e3  # what stands for an infinite cost
 def shortest_tour(costs: np.ndarray, groups: Sequence[np.ndarray], seed: int = 0) -> list[int]:
     """A shortest tour, as the nodes after the first; `costs` (m, m) are from a node to another.
 
-    Of up to `EXACT` groups it is the shortest [Held and Karp 1962], of more one that PyVRP finds [Wouda et al. 2024], its
-    members chosen anew. Raises `ValueError` where PyVRP is needed and not installed.
+    It is the shortest of all with up to `EXACT` groups [Held and Karp 1962], with more one that PyVRP finds [Wouda et al.
+    2024], its members chosen anew. Raises `ValueError` where PyVRP is needed and not installed.
     """
     costs = np.minimum(costs, AVOIDED)
     if len(groups) <= EXACT:

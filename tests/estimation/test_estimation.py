@@ -55,14 +55,14 @@ def log():
 
 
 def test_the_filter_finds_a_push(log):
-    """As a low pass of first order, whatever the arm does meanwhile."""
+    """The filter answers as a low pass of first order, whatever the arm does meanwhile."""
     expected = PUSH * (1.0 - (1.0 - FILTER.gain) ** np.arange(1, STEPS + 1)[:, None])
     found = estimate(TorqueEstimator(ARM, FILTER), log)
     np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), rtol=1e-9)
 
 
 def test_the_observer_finds_a_push(log):
-    """Likewise, without accelerations; between samples it integrates by the trapezoidal rule."""
+    """The observer needs no accelerations; between samples it integrates by the trapezoidal rule."""
     gain = np.array([30.0, 60.0])
     expected = PUSH * (1.0 - (1.0 - gain * DT) ** np.arange(STEPS)[:, None])
     found = estimate(MomentumObserver(ARM, gain, DT), Motion(log.q, log.velocity, current=log.current))

@@ -43,7 +43,7 @@ def test_a_roll_out_agrees_with_forward_dynamics():
 
 
 def test_a_push_is_played_and_found():
-    """At a point of a link that moves; the plant's truth is J'f, and an ideal arm's currents show it."""
+    """The push is at a point of a link that moves; the plant's truth is J'f, and an ideal arm's currents show it."""
     tool = jaxik.pose([0.1, 0.05, 0.0])
     push = Push("link2", [0.1, 0.05, 0.0], [0.0, 5.0, 0.0], 0.3, 0.6)
     told = []
@@ -60,7 +60,7 @@ def test_a_push_is_played_and_found():
 
 
 def test_friction_sticks():
-    """At rest a push below the friction's band moves nothing, and no current shows it; in motion it does."""
+    """A push below the friction's band moves nothing at rest, and no current shows it; in motion it does."""
     held = time_path([[0.3, -0.5], [0.3, -0.499]], **CURVED)
     push = Push("link1", [0.0, 0.0, 0.0], lambda t, point: [-0.6 * point[1], 0.6 * point[0], 0.0], 0.5)
     log = play(ARM, held, pushes=[push], rest=(0.0, 1.0)).measured

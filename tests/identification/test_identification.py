@@ -1,4 +1,4 @@
-"""What logs tell of bodies and friction: against arms whose numbers are known."""
+"""Bodies and friction from logs, against arms whose numbers are known."""
 
 import dataclasses
 
@@ -104,7 +104,7 @@ WALL = jaxik.make_scene(spheres=[[-0.3, 0.85, 1.1, 0.15]])  # within reach
 
 
 def test_the_search_knows_its_slope():
-    """By coefficients and by shares, nearness to the scene and to itself among it."""
+    """The slope by coefficients and by shares is that of differences, nearness to the scene and to itself included."""
     space = ClearSpace("excite", ARM, WALL, 0.02)
     search = _Search(ARM, space, np.array([0.5, 0.6, -0.4]), ExciteOptions(samples=40))
     x = np.vstack([np.random.default_rng(0).normal(size=(10, 3)), [[0.9, 0.7, 0.8]]]).ravel()
@@ -118,7 +118,7 @@ def test_the_search_knows_its_slope():
 
 
 def test_excitation_keeps_clear():
-    """Of a sphere and of itself, by coal's distances of the robot's volumes."""
+    """The motion keeps clear of a sphere and of itself, by coal's distances of the robot's volumes."""
     found = excite(ARM, scene=WALL, margin=0.02, velocity=2.0, starts=5, steps=10, samples=50)
     bold = excite(ARM, collision=False, velocity=2.0, starts=5, steps=10, samples=50)
     distances = [min(coals(q) for q in motion.at(np.linspace(0.0, 10.0, 101)).q) for motion in (found, bold)]
@@ -141,7 +141,7 @@ def coals(q):
 
 
 def test_identification_from_noisy_logs(motion):
-    """What is told to within 1 % is right to within 1 % (three standard errors), the rest is named, and all bodies can be."""
+    """A number told to within 1 % is right to within 1 % (three standard errors), the rest is named, and all bodies can be."""
     true, rng = another(), np.random.default_rng(1)
     torque = np.asarray(torques(true, *motion))
     gain = np.array([float(d.ratio * d.torque_constant) for d in true.drives])

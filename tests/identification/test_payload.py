@@ -1,4 +1,4 @@
-"""What is at the tip: of Pinocchio's torques and of MuJoCo's arm, with friction that the model does not know."""
+"""Loads at the tip, from Pinocchio's torques and MuJoCo's arm, with friction that the model does not know."""
 
 import dataclasses
 
@@ -42,7 +42,7 @@ def pinocchios(robot, moved, load=None):
 
 @pytest.fixture(scope="module")
 def logs():
-    """Of an arm that is built otherwise, rubs, and does not quite move alike in both; the torques have noise."""
+    """Logs of an arm that is built otherwise, rubs, and does not quite move alike in both; the torques have noise."""
     heavier = [dataclasses.replace(b, mass=np.asarray(1.2 * b.mass), com=b.com + 0.01) for b in WRIST.bodies]
     built, rng = dataclasses.replace(WRIST, bodies=tuple(heavier)), np.random.default_rng(0)
     found = []
@@ -67,7 +67,7 @@ def test_against_pinocchio(logs):
 
 
 def test_exact_torques_are_exact():
-    """Of torques behind friction, without a second log, at rest too: of postures mass and centre alone are told."""
+    """Torques behind friction need no second log, at rest too: postures tell mass and centre alone."""
     moved = [x[::10] for x in motion()]
     found = identify_load(WRIST, Motion(*moved, torque=pinocchios(WRIST, moved, (MASS, COM, TENSOR))), slowest=0.0)
     assert abs(found.mass - MASS) <= 1e-6 and np.abs(found.com - COM).max() <= 1e-6
@@ -130,7 +130,7 @@ def test_logs_in_another_order_or_unit_say_so(logs, change):
 
 
 def test_no_load_is_none():
-    """What two logs without a load are apart is noise, and friction that has changed a little."""
+    """Two logs without a load differ by noise, and by friction that has changed a little."""
     moved, rng, reasons = motion(), np.random.default_rng(3), []
     for drift in (0.0, 0.1):
         torque = pinocchios(WRIST, moved) + (3.0 + drift * np.arange(2)[:, None, None]) * np.sign(moved[1])

@@ -11,7 +11,7 @@ from jaxik.teleoperation.devices import RecordedHand
 
 
 def event(value, kind, number):
-    """As in linux/joystick.h: time [ms], value, kind, number."""
+    """An event as in linux/joystick.h: time [ms], value, kind, number."""
     return struct.pack("=IhBB", 12, value, kind, number)
 
 

@@ -1,4 +1,4 @@
-"""What goes between a hand and an arm that are apart: packets that come late, and no energy that nobody put in."""
+"""Channels between a hand and an arm that are apart: packets come late, and no energy that nobody put in."""
 
 import jax
 import jax.numpy as jnp
@@ -77,7 +77,7 @@ def test_no_energy_is_made(channel):
 
 
 def test_without_a_method_energy_is_made():
-    """By a spring that is met late: it gives more than it got."""
+    """A spring that is met late gives more than it got."""
     t = DT * np.arange(STEPS)
     hand = jnp.array(np.stack([0.3 * np.sin(2.0 * np.pi * 2.0 * t), 0.0 * t, 0.0 * t], axis=1))
     where = jnp.cumsum(hand, axis=0) * DT

@@ -150,7 +150,7 @@ def columns(q, contact):
 
 
 def test_power_is_reflected():
-    """By NumPy's pseudoinverse: what a contact takes of any motion that the task asks for, the force at the tip takes."""
+    """The force at the tip takes what a contact takes of any motion that the task asks for, by NumPy's pseudoinverse."""
     external = columns(MID, TOUCHED).T @ TOUCHED.force
     expected = np.linalg.pinv(np.asarray(jaxik.jacobian(NINE, MID))).T @ external
     np.testing.assert_allclose(jax.jit(reflect, static_argnums=0)(NINE, MID, TOUCHED), expected[:3], atol=1e-6)
@@ -351,7 +351,7 @@ def test_the_loop_makes_no_energy(channel):
 @pytest.mark.parametrize("smoothing", [0.0, 0.05])
 @pytest.mark.parametrize("channel", [PassivityController(), WaveVariables(impedance=20.0)], ids=["controller", "waves"])
 def test_no_work_comes_out_at_the_hand(channel, smoothing):
-    """Of the hand's own velocity times what is rendered on it, less what a spring at the tip holds: counted here, not by the
+    """The hand's own velocity times what is rendered on it, less what a spring at the tip holds, is counted here, not by the
     channel; moving as it likes, with the clutch pressed now and then, and with a device that is silent or mad for a while."""
     setup = Teleoperation(
         FOUR,
@@ -402,7 +402,7 @@ def test_the_clutch_stops_the_arm(channel):
 
 
 def test_a_loop_is_the_step():
-    """As a kernel, in NumPy; with a contact, a turn and the clutch."""
+    """The loop is a kernel, in NumPy; with a contact, a turn and the clutch."""
     setup = Teleoperation(
         NINE,
         mapping=RateControl(),
@@ -446,7 +446,7 @@ def test_a_contact_is_of_a_joint_and_has_a_force(small):
 
 
 def test_a_device_with_fewer_buttons(small):
-    """What it does not have is not pressed; nor has anybody pressed anything before a device has spoken."""
+    """A button that it does not have is not pressed; nor has anybody pressed anything before a device has spoken."""
     loop, state = small
     assert loop.step(state, Q, Watchdog(RecordedHand([None])).read())[1].reason == Reason.SILENT
     with pytest.raises(ValueError, match=r"teleoperation loop: arrays of shapes .*; allowed: \(2,\)") as said:

@@ -33,7 +33,7 @@ def test_many_joints_tell_place_and_force():
 
 
 def test_few_joints_tell_what_they_feel():
-    """Of two joints: the torques are explained, by no more force than there was, and where is not told."""
+    """Two joints explain the torques, by no more force than there was, and where is not told."""
     axis = np.array([[0.0, 0.0, -0.19], [0.0, 0.0, -0.02]])
     torque = torques(2, axis)
     found = located(2, axis, torque)

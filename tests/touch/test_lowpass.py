@@ -29,7 +29,7 @@ def test_a_constant_stays():
 
 @pytest.mark.parametrize("true", [20.0, 60.0, 3000.0])
 def test_stiffness_is_the_slope_of_force_over_depth(true):
-    """From noise of 0.02 N, too; and it is kept where nothing is touched."""
+    """The slope is found under noise of 0.02 N, too; and it is kept where nothing is touched."""
     depth = 0.03 + 0.02 * np.sin(np.linspace(0.0, 9.0, 2000))
     touching = np.arange(2000) < 1500
     force = np.where(touching, true * depth + 0.02 * np.random.default_rng(0).normal(size=2000), 0.0)

@@ -79,7 +79,7 @@ def test_a_stiffness_that_is_not_known_is_found():
 
 @pytest.mark.parametrize("scheme", ["feedback", "multi"])
 def test_a_wall_much_stiffer_than_believed_is_found(scheme):
-    """From the first touch on, before a law that believes in 60 N/m has leapt off it; through a filter, and with noise."""
+    """The wall is found at once, before a law that believes in 60 N/m has leapt off it; through a filter, and with noise."""
     away = np.array([-0.977, -0.214, 0.0])  # the elbow goes against it
     push = Line(HERE, HERE + np.array([[0, 0, 0, 0.4], [0, 0, 0, -0.3], [0, 0, 0, 0], [0, 0, 0, 0]]))
 
@@ -191,7 +191,7 @@ def test_a_batch_is_what_each_is_alone():
 
 
 def test_a_simulation_has_slopes():
-    """By the springs' stiffness, from before the contact on."""
+    """The slopes are by the springs' stiffness, from before the contact on."""
     gap = dataclasses.replace(WALL, point=AT + 1e-4 * NORMAL, normal=-NORMAL)
     reaction = Reaction(ARM, scheme="rmrc", task=TASK, limits=False)
     final = lambda stiff: simulate_reaction(

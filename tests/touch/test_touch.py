@@ -1,4 +1,4 @@
-"""What is touched and what is felt: springs that never make energy, the thesis' sensor, a skin of cells."""
+"""Touching and feeling: springs that never make energy, the thesis' sensor, a skin of cells."""
 
 import jax
 import jax.numpy as jnp
@@ -32,7 +32,7 @@ def test_a_force_is_minus_the_slope_of_the_energy():
 
 @pytest.mark.parametrize(("spring", "speed", "lost"), [(LINEAR, 1.0, 0.0), (HERTZ, 5.0, 0.0), (LOSSY, 0.3, 1e-3)])
 def test_a_cycle_makes_no_energy(spring, speed, lost):
-    """In, along the wall and out again, fast or slowly; and nothing ever pulls."""
+    """A tip goes in, along the wall and out again, fast or slowly; and nothing ever pulls."""
     t = np.linspace(0.0, 2.0 * np.pi, 4001)
     way = np.stack([-0.03 * (1.0 - np.cos(t)), 0.1 * np.sin(t), 0.02 * np.sin(2 * t)], axis=1)
     axes = np.stack([NORMAL, [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
@@ -53,7 +53,7 @@ def test_the_cost_of_a_contact_slopes_against_its_torque():
 
 
 def shown(sensor, forces, noise=0.0):
-    """What a sensor on link 2 shows of forces (t, 3) at one point."""
+    """The readings of a sensor on link 2 of forces (t, 3) at one point."""
     point = material_point(ARM, Q, 2, np.array([0.0, 0.4, 0.0]))
     step = lambda state, force: sensor.step(state, ARM, Q, PointForce(2, point[None], force[None]), noise)
     return jax.tree_util.tree_map(lambda x: x[:, 0], jax.lax.scan(step, sensor.init(), jnp.asarray(forces))[1])
