@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import types
 from pathlib import Path
 from typing import Any
@@ -40,3 +41,19 @@ def _documented(what: Any) -> bool:
         return True  # a constant stands on the page of its package
     own = (what.__doc__ or "").strip()
     return bool(own) and not own.startswith(f"{what.__name__}(")
+
+
+def main() -> None:
+    """Prints every public name, a callable with its signature, and what the reference lacks."""
+    count = 0
+    for package in packages():
+        print(f"\njaxik.{package}")
+        for name, what in names(package).items():
+            count += 1
+            plain = not callable(what) or (inspect.isclass(what) and issubclass(what, Exception))
+            print(f"  {name}{'' if plain else inspect.signature(inspect.unwrap(what))}")
+    print(f"\n{count} names; {'; '.join(faults()) or 'all documented'}")
+
+
+if __name__ == "__main__":
+    main()

@@ -51,7 +51,8 @@ class ViewArguments(ShapedRobotArguments):
         picked = jaxik.harvest(robot, scene) if harvest and scene is not None else None
         plan = plan_harvest(picked) if self.motions and picked is not None else None
         read = self.meshes and not robot.surfaces  # which are what is to be seen
-        meshes = link_meshes(self.robot, self.tip, self.base, posture=how["posture"], packages=self.packages) if read else ()
+        asked = {"tip": self.tip, "base": self.base, "posture": how["posture"], "packages": self.packages}
+        meshes = link_meshes(self.robot, **asked) if read else ()
         page = Page(
             robot,
             scene=scene,

@@ -110,7 +110,7 @@ class Judged(NamedTuple):
     delay: Float[np.ndarray, " c"]
 
 
-def judge_alarms(alarms: Any, contact: Any, dt: float, after: float = 0.0) -> Judged:
+def judge_alarms(alarms: Any, contact: Any, dt: float, *, after: float = 0.0) -> Judged:
     """Alarms (t,) against where there is a contact (t,), `dt` [s] apart; an alarm up to `after` [s] behind a contact's end is
     still of it. Host. Raises `ValueError` for shapes that do not fit, and for times below 0."""
     check_finite("judge_alarms", 1e-9, dt=dt)

@@ -107,7 +107,7 @@ class LoadOptions(Options, who="load"):
 
 
 def load(
-    path: str | Path, tip: str | None = None, base: str | None = None, *, options: LoadOptions | None = None, **changes: Any
+    path: str | Path, *, tip: str | None = None, base: str | None = None, options: LoadOptions | None = None, **changes: Any
 ) -> Robot:
     """Reads the serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`. Host.
 
@@ -250,9 +250,9 @@ def _some(words: Iterable[str]) -> str:
 
 def fit_report(
     path: str | Path,
+    *,
     tip: str | None = None,
     base: str | None = None,
-    *,
     options: LoadOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
     **changes: Any,
@@ -272,7 +272,7 @@ def fit_report(
 
 
 def link_meshes(
-    path: str | Path, tip: str | None = None, base: str | None = None, *, options: LoadOptions | None = None, **changes: Any
+    path: str | Path, *, tip: str | None = None, base: str | None = None, options: LoadOptions | None = None, **changes: Any
 ) -> list[Shape]:
     """Returns the collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look
     at: for `view.Page`. `options` and `changes` are those of `load`. Host."""

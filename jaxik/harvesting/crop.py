@@ -15,7 +15,7 @@ from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import SceneBuilder
 
 
-def make_row(seed: int = 0, *, plants: int = 5, leaves: int = 4, fruits: int = 12) -> Scene:
+def make_row(*, seed: int = 0, plants: int = 5, leaves: int = 4, fruits: int = 12) -> Scene:
     """A cucumber row: `plants` stems 0.25 m apart, each with `leaves` leaves in the robot's reach, and `fruits`. Host.
 
     The same seed gives the same scene; that of 0 is the shipped `cucumber_row`.

@@ -6,9 +6,6 @@ import re
 import public
 import pytest
 
-TODO = {  # packages, and single functions, that do not follow yet: take out what you have converted
-    *("estimation.judge_alarms", "files.fit_report", "files.link_meshes", "files.load", "harvesting.make_row"),
-}
 DEFAULTS = {"seed": (0,), "options": (None,), "progress": (None,), "margin": (0.0,), "dt": (0.001, 0.01), "collision": (True,)}
 DIALECT = {  # what was said in other words -> the word
     **{"chain": "robot", "arm": "robot", "period": "dt", "timestep": "dt", "file": "path", "filename": "path"},
@@ -50,7 +47,7 @@ def faults(name, function):
             yield f"{word} is taken or returned, and on no face"
 
 
-@pytest.mark.parametrize("name", [name for name in FUNCTIONS if not {name, name.partition(".")[0]} & TODO])
+@pytest.mark.parametrize("name", FUNCTIONS)
 def test_one_grammar(name):
     assert not list(faults(name, FUNCTIONS[name]))
 

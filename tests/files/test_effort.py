@@ -23,7 +23,7 @@ MJCF = """<mujoco><worldbody><body><joint name="turn" axis="0 0 1"/><geom size="
 @pytest.mark.parametrize("name", ROBOTS)
 def test_as_pinocchio_reads_it(name):
     path, tip = bare(name)
-    model, robot = pin.buildModelFromUrdf(str(path)), jaxik.load(path, tip)
+    model, robot = pin.buildModelFromUrdf(str(path)), jaxik.load(path, tip=tip)
     theirs = np.array([model.effortLimit[model.joints[model.getJointId(joint)].idx_v] for joint in robot.joint_names])
     np.testing.assert_array_equal(robot.effort, np.where(theirs > 0.0, theirs, np.inf))  # 0 is what a file says of none
     assert np.isfinite(robot.effort).any()

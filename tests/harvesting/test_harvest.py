@@ -154,7 +154,7 @@ def test_fruits_that_others_open_are_picked_first_in_turn():
 
 def test_the_shipped_row_is_the_generators(tmp_path):
     path = tmp_path / "row.toml"
-    save_scene(jaxik.harvesting.make_row(0), path)
+    save_scene(jaxik.harvesting.make_row(seed=0), path)
     shipped, made = jaxik.load_scene("cucumber_row"), jaxik.load_scene(path)
     assert shipped.object_names == made.object_names
     assert np.array_equal(shipped.points.center, made.points.center)

@@ -305,7 +305,7 @@ def test_kinds_of_targets(tmp_path):
     voxels = jaxik.sweeps.Study.of({"robot": "planar2", "targets": {"kind": "voxels", "size": 0.5}}).targets
     assert voxels.free_rotation and all(len(a) >= 4 for a in voxels.axes)
     assert np.allclose(voxels.poses_at(np.arange(1))[0, :3, 3], [a[0] for a in voxels.axes])
-    rows = [jaxik.harvesting.make_row(seed) for seed in range(2)]
+    rows = [jaxik.harvesting.make_row(seed=seed) for seed in range(2)]
     crop = jaxik.sweeps.Study.of({"robot": "p6r", "targets": {"kind": "marks", "scenes": rows, "angles": 6}}).targets
     assert len(crop) == 2 * 12 * 6 and crop.among.max() == 23
     (tmp_path / "t.csv").write_text("x,y,z,qw,qx,qy,qz\n0.5,0.6,0.4,1,0,0,0\n0.5,0.6,0.4,0,0,0,0\n")
