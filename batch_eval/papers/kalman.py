@@ -93,7 +93,7 @@ class RecursiveState(NamedTuple):
 @dataclasses.dataclass(frozen=True, eq=False)
 class RecursiveEstimator(Estimator):
     """A `TorqueEstimator` by the full recursion, which begins at T_int with the variance `start` [Nm2]. For `estimate` and
-    `EstimationLoop`."""
+    `ControlLoop`."""
 
     steady: TorqueEstimator
     start: float = 1.0
