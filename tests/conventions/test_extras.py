@@ -8,6 +8,7 @@ import pytest
 
 import jaxik
 from jaxik.cli import main
+from jaxik.estimation.plant import mujoco_model
 from jaxik.harvesting.tour import shortest_tour
 from jaxik.sweeps import Study, SweepResult
 from jaxik.view import Page
@@ -21,7 +22,7 @@ def mjcf(folder):
 
 
 def plant(folder):
-    jaxik.estimation.mujoco_model(jaxik.load("crops_v2"))
+    mujoco_model(jaxik.load("crops_v2"))
 
 
 def parquet(folder):

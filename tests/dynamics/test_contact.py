@@ -10,7 +10,7 @@ from rigid_truth import of_robot
 
 import jaxik
 from jaxik.dynamics import PointForce, material_point, point_jacobian, point_torque
-from jaxik.estimation import mujoco_model
+from jaxik.estimation.plant import mujoco_model
 
 ROBOT = jaxik.load("crops_v2")
 N = ROBOT.num_joints
