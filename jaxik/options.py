@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 import math
 from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar, dataclass_transform, get_args
@@ -21,7 +22,7 @@ from typing import Any, ClassVar, TypeVar, dataclass_transform, get_args
 import numpy as np
 
 from jaxik.checks.arrays import positive
-from jaxik.checks.options import among, as_count, check_choices, check_finite, check_flag, check_kind, shown
+from jaxik.checks.options import among, as_count, check_flag, check_kind, is_finite_number, shown
 
 REQUIRED = dataclasses.MISSING
 Own = TypeVar("Own", bound="Options")  # not Self, which beartype knows in classes alone that it decorates
@@ -63,14 +64,17 @@ def number(
     optional: bool = False,
 ) -> Any:
     """A finite number of at least `least`, above `above`, and at most `most`; or None, where that is `optional`."""
+    bounds = [f"of at least {least:g}"] * math.isfinite(least) + [f"above {above:g}"] * math.isfinite(above)
+    bounds += [f"at most {most:g}"] * math.isfinite(most)
+    allowed = " ".join(["a finite number", " and ".join(bounds), unit if bounds else ""]).rstrip() + ", or None" * optional
 
     def kept(who: str, name: str, value: Any) -> Any:
         if value is None and optional:
             return None
-        check_finite(who, least, **{name: value})
+        if not (is_finite_number(value) and value >= least):
+            raise ValueError(f"{who}: {name} is {shown(value)}; it is {allowed}")
         if not above < value <= most:
-            bound = f"above {above:g}" if value <= above else f"at most {most:g}"
-            raise ValueError(f"{who}: {name} is {shown(value)}; allowed: a finite number {bound}{f' {unit}' if unit else ''}")
+            raise ValueError(f"{who}: {name} is {shown(value)}; allowed: {allowed}")
         return value
 
     return _declared(default, unit, words, kept)
@@ -97,9 +101,9 @@ def choice(*, default: Any = REQUIRED, words: str, kinds: Any, also: tuple[Any, 
     """One word of a `Literal`, or one of the other values, True, False or None, in `also`."""
 
     def kept(who: str, name: str, value: Any) -> Any:
-        if not any(value is each for each in also):
-            check_choices(who, **{name: (value, kinds)})
-        return value
+        if any(value is each for each in also) or (isinstance(value, str) and value in get_args(kinds)):
+            return value
+        raise ValueError(f"{who}: {name} '{shown(value)}'; allowed: {', '.join(map(str, (*get_args(kinds), *also)))}")
 
     return _declared(default, "", words, kept, (*get_args(kinds), *also))
 
@@ -140,17 +144,17 @@ def anything(*, default: Any = REQUIRED, words: str, unit: str = "") -> Any:
 )
 class Options:
     """A subclass is a frozen dataclass, made by keywords, each of whose fields is declared by one of this module's functions.
-    `who` asks in its messages: the function that takes it."""
+    `who` asks in its messages: the function that takes it. With `eq=False` an object equals itself alone, and has a hash."""
 
     who: ClassVar[str] = "options"
     _kept: ClassVar[dict[str, Callable[[str, str, Any], Any]]] = {}
 
-    def __init_subclass__(cls, who: str = "", **kwargs: Any) -> None:
+    def __init_subclass__(cls, who: str = "", eq: bool = True, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         cls.who = who or cls.who
-        dataclasses.dataclass(frozen=True, kw_only=True)(cls)
+        dataclasses.dataclass(frozen=True, kw_only=True, eq=eq)(cls)
         cls._kept = {name: field.kept for name, field in fields(cls).items()}
-        cls.__doc__ = "\n\n".join([(vars(cls).get("__doc__") or "").strip(), described(cls)])
+        cls.__doc__ = "\n\n".join([inspect.cleandoc(vars(cls).get("__doc__") or ""), described(cls)])
 
     def __post_init__(self) -> None:
         given = vars(self)
@@ -168,7 +172,8 @@ class Options:
         if not changes:
             return self
         made = object.__new__(type(self))
-        vars(made).update(vars(self) | {name: self._kept[name](self.who, name, value) for name, value in changes.items()})
+        fields = {name: vars(self)[name] for name in self._kept}  # without what is cached of them
+        vars(made).update(fields | {name: self._kept[name](self.who, name, value) for name, value in changes.items()})
         made.check()
         return made
 

@@ -14,13 +14,13 @@ from jaxik.pytree import Pytree
 from jaxik.reasons import Reason
 
 
-class Reasoned:
-    """An object with a `reason`: a `Reason`, or an array of their numbers; a field, or a property."""
+class _Reasoned:
+    """A class whose `reason` is a field, or a property, of its subclasses."""
 
     reason: Any
 
 
-class Result(Reasoned, Pytree):
+class Result(_Reasoned, Pytree):
     """A pytree whose arrays have the leading axis of what was asked; a single result holds the entries themselves.
 
     `reason` holds a `Reason`, or an array of their numbers; `why` says it in words, after the place in a field `where`. A tuple

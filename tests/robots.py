@@ -17,7 +17,7 @@ ROBOTS = {
 
 
 def bare(name):
-    """The robot's robot alone, without shapes, as a file that every library reads."""
+    """The robot's chain alone, without shapes, as a file that every library reads."""
     file, tip = ROBOTS[name]
     return bare_urdf(FOLDER / file, tip), tip
 

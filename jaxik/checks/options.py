@@ -25,15 +25,17 @@ def check_choices(who: str, **choices: tuple[Any, Any]) -> None:
 def check_finite(who: str, least: float = -math.inf, **numbers: Any) -> None:
     """Raises likewise for what is no finite number, or less than `least`."""
     for name, value in numbers.items():
-        number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-        if not (number and _is_finite(value) and value >= least):
+        if not (is_finite_number(value) and value >= least):
             allowed = "a finite number" + (f" of at least {least:g}" if math.isfinite(least) else "")
             raise ValueError(f"{who}: {name} is {shown(value)}; it is {allowed}")
 
 
-def _is_finite(value: Any) -> bool:
+def is_finite_number(value: Any) -> bool:
+    """Whether it is a finite number, and no truth value."""
     try:
-        return math.isfinite(value)
+        return (
+            isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool) and math.isfinite(value)
+        )
     except OverflowError:  # a whole number beyond the floats
         return False
 

@@ -10,14 +10,15 @@ import tyro
 from jaxik.options import Options, fields
 
 
-def flags(options: type[Options], **kinds: Any) -> Any:
+def flags(options: type[Options], words: dict[str, str] | None = None, **kinds: Any) -> Any:
     """A base of a command's arguments with those fields of `options` that `kinds` names, each of the type that it gives: a
-    shell knows no objects. `given` gathers them again."""
+    shell knows no objects. Where that is less than the field takes, `words` tell of it. `given` gathers them again."""
     usual, made = options(), []
     for name, kind in kinds.items():
         field = fields(options)[name]
-        words = f"{field.words[0].upper()}{field.words[1:]}{f' [{field.unit}]' if field.unit else ''}."
-        made.append((name, Annotated[kind, tyro.conf.arg(help=words)], dataclasses.field(default=getattr(usual, name))))
+        told = (words or {}).get(name, field.words)
+        line = f"{told[0].upper()}{told[1:]}{f' [{field.unit}]' if field.unit else ''}."
+        made.append((name, Annotated[kind, tyro.conf.arg(help=line)], dataclasses.field(default=getattr(usual, name))))
     return dataclasses.make_dataclass(f"{options.__name__}Flags", made, kw_only=True)
 
 

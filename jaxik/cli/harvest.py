@@ -21,8 +21,28 @@ from jaxik.harvesting.harvest_plan import HarvestPlan, HarvestPlanOptions, Leave
 from jaxik.harvesting.harvest_planner import plan_harvest
 from jaxik.planning.trajectory_files import ENDINGS
 
-HARVEST = flags(HarvestOptions, angles=int, slides=int, margin=float, clearance_weight=float, freedom_weight=float, reach=float)
-MOTIONS = flags(HarvestPlanOptions, order=Order, leaves=Leaves, approach=float, candidates=int)
+HARVEST = flags(
+    HarvestOptions,
+    words={
+        "angles": "approach angles about a fruit's axis",
+        "slides": "positions of each leading joint",
+        "margin": "least clearance of the postures and of the motions",
+    },
+    angles=int,
+    slides=int,
+    margin=float,
+    clearance_weight=float,
+    freedom_weight=float,
+    reach=float,
+)
+MOTIONS = flags(
+    HarvestPlanOptions,
+    words={"order": "by time, or from one end of the row to the other"},
+    order=Order,
+    leaves=Leaves,
+    approach=float,
+    candidates=int,
+)
 OF_MOTIONS = "order", "home", "place", "leaves", "approach", "candidates", "dt"
 
 

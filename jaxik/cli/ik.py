@@ -31,6 +31,12 @@ SHOWN = 5  # invalid targets of which it is said why
 
 FLAGS = flags(
     jaxik.IKOptions,
+    words={
+        "position_tolerance": "largest error of an answer",
+        "rotation_tolerance": "largest error of an answer",
+        "choice": "which of several answers is taken; auto is the first that is found",
+        "solutions": "so many different answers of each target are written, best first, or all that are found",
+    },
     margin=float,
     position_tolerance=float,
     rotation_tolerance=float,

@@ -77,9 +77,9 @@ class PlayOptions(Options, who="play"):
 
 class Played(Pytree):
     """A log twice: with the motion that was `asked` for, its q, velocity and acceleration, as the thesis has it for
-    `TorqueEstimator`; and with the q and velocity that were `measured`. Both have time (k,) [s], and (k, n): the `current` [A]
-    and the `torsion` [rad] that were measured, and the truth, `external`, what pushes do to the joints, J'f, and `torque`, what
-    the drives do behind their friction [Nm, N]."""
+    `TorqueEstimator`; and with the q and velocity that were `measured`, the acceleration still the asked one, since nothing
+    measures it. Both have time (k,) [s], and (k, n): the measured `current` [A] and `torsion` [rad], and the truth,
+    `external`, what pushes do to the joints, J'f, and `torque`, what the drives do behind their friction [Nm, N]."""
 
     asked: Motion
     measured: Motion
@@ -147,7 +147,7 @@ def play(
     torsion = gear / _of_drives(robot, lambda d: d.stiffness)
     q, velocity, current, torsion = _measured(options, seed, q, current, torsion)
     both = {"time": asked.time, "current": current, "torsion": torsion, "torque": torque, "external": external}
-    return Played(Motion(*asked.state, **both), Motion(q, velocity, **both))
+    return Played(Motion(*asked.state, **both), Motion(q, velocity, asked.acceleration, **both))
 
 
 class _Controller(NamedTuple):

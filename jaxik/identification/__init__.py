@@ -3,16 +3,16 @@
 from jaxik.identification.excitation import ExciteOptions, ExciteResult, excite
 from jaxik.identification.fit import IdentifyOptions, IdentifyResult, identify
 from jaxik.identification.identifiable import BaseParameters, base_parameters
-from jaxik.identification.payload import LoadOptions, LoadResult, identify_load
+from jaxik.identification.payload import IdentifyLoadOptions, IdentifyLoadResult, identify_load
 
 __all__ = [
     "BaseParameters",
     "ExciteOptions",
     "ExciteResult",
+    "IdentifyLoadOptions",
+    "IdentifyLoadResult",
     "IdentifyOptions",
     "IdentifyResult",
-    "LoadOptions",
-    "LoadResult",
     "base_parameters",
     "excite",
     "identify",

@@ -219,6 +219,9 @@ def excite(
     check_kind("excite", "scene", scene, Scene, optional=True)
     check_seed("excite", seed)
     options = ExciteOptions.chosen(options, changes)
+    if not options.collision and (scene is not None or options.margin):
+        given = "a scene" if scene is not None else f"margin {options.margin:g}"
+        raise ValueError(f"excite: {given} with collision=False, which looks at nothing; leave one of them out")
     _check_moves(robot)
     space = ClearSpace("excite", robot, scene, options.margin) if options.collision else None
     with threadpool_limits(1, "blas"):  # matrices are small, and threads would wait for each other

@@ -82,7 +82,7 @@ class FitResult(Result):
     HELP = {
         Reason.UNEXCITED: "move more joints, faster, or in other postures",
         Reason.UNEXPLAINED: "look at the order of the log's columns, and at its units",
-        Reason.NOT_CONVERGED: "allow more steps, or look whether the log is this robot's",
+        Reason.NOT_CONVERGED: "allow more steps or rounds, or look whether the log is this robot's",
     }
 
 

@@ -40,12 +40,12 @@ WATER = 1000.0  # [kg/m3]
 TENSOR = np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])  # where a body's parameters have its inertia
 
 
-class LoadOptions(LogOptions, who="identify_load"):
+class IdentifyLoadOptions(LogOptions, who="identify_load"):
     """How `identify_load` fits logs. A ball of water is what is taken for granted; the condition number is that of mass and
     moments."""
 
 
-class LoadResult(FitResult):
+class IdentifyLoadResult(FitResult):
     """A load as `robot.with_load(mass, com=, inertia=)` takes it: `mass` [kg], centre of gravity `com` (3,) [m] and `inertia`
     (3, 3) [kg m2] about that, in the tip's axes; and their standard errors, infinite where the logs do not tell."""
 
@@ -60,7 +60,7 @@ class LoadResult(FitResult):
         told = lambda value, std: ", ".join(with_errors(np.ravel(value), np.ravel(std)))
         upper = np.triu_indices(3)
         return (
-            f"LoadResult: {self.why}\n"
+            f"IdentifyLoadResult: {self.why}\n"
             f"  mass {told(self.mass, self.mass_std)} kg\n"
             f"  com {told(self.com, self.com_std)} m\n"
             f"  inertia xx, xy, xz, yy, yz, zz {told(self.inertia[upper], self.inertia_std[upper])} kg m2"
@@ -72,9 +72,9 @@ def identify_load(
     loaded: Motion | Sequence[Motion],
     *,
     empty: Motion | Sequence[Motion] | None = None,
-    options: LoadOptions | None = None,
+    options: IdentifyLoadOptions | None = None,
     **changes: Any,
-) -> LoadResult:
+) -> IdentifyLoadResult:
     """Finds the load at the robot's tip from a log of a motion with it, and better one of the same motion without. Host driver.
 
     `robot` is the arm without the load; logs are those of `identify`. Both are to begin at the same moment of the motion: row
@@ -87,7 +87,7 @@ def identify_load(
     Lemoine 2007; Rucker, Wensing 2022.
     """
     check_kind("identify_load", "robot", robot, Robot)
-    options = LoadOptions.chosen(options, changes)
+    options = IdentifyLoadOptions.chosen(options, changes)
     q, qdot, qddot, torque = joined(robot, loaded, "identify_load")
     missing, counts = _missing(robot, q, qdot, qddot, torque), np.abs(qdot) >= options.slowest
     if empty is not None:
@@ -108,8 +108,13 @@ def identify_load(
 
 
 def _found(
-    columns: np.ndarray, missing: np.ndarray, counts: np.ndarray, torque: np.ndarray, qdot: np.ndarray, options: LoadOptions
-) -> tuple[LoadResult, bool]:
+    columns: np.ndarray,
+    missing: np.ndarray,
+    counts: np.ndarray,
+    torque: np.ndarray,
+    qdot: np.ndarray,
+    options: IdentifyLoadOptions,
+) -> tuple[IdentifyLoadResult, bool]:
     """The load, and whether it is no load that is between the logs: of Y (k, n, 10), Y phi (k, n), which rows count (k, n), and
     the torques and the rates (k, n)."""
     usual = np.sqrt(np.mean(torque**2, axis=0))
@@ -126,7 +131,7 @@ def _found(
     repeats = repeated(left, counts)
     mass_std, com_std, inertia_std = _split(fit.std(repeats, _slope(bodies[0])))
     excited = condition(columns[:, :4])
-    found = LoadResult(
+    found = IdentifyLoadResult(
         mass=float(mass),
         com=com,
         inertia=inertia,

@@ -53,8 +53,8 @@ class IKOptions(field.Options, who="solve_ik"):
     solutions: int | Literal["all"] = field.count(
         default=1,
         also=("all",),
-        words='different answers returned a target, best first, or "all" that were found; turns by 2 pi count as different. Six'
-        ' joints in closed form have no others than "all", six others none to which homotopy does not lead',
+        words='different answers returned a target, best first, or "all" that were found; turns by 2 pi count as different. For'
+        ' six joints in closed form "all" is all that there are, for six others all to which homotopy leads',
     )
     distinct: float = field.number(
         default=0.05, least=0.0, unit="rad, m", words="answers nearer to each other than this in every joint are one"

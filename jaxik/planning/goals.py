@@ -18,10 +18,10 @@ from jaxik.reasons import Reason
 
 MOST = 512  # answers of a pose, turns of the same posture among them, that are looked through
 HELP = {
-    Reason.LIMITS: "give values between robot.lower and robot.upper",
+    Reason.LIMITS: "values lie between robot.lower and robot.upper; a pose needs a posture there",
     Reason.COLLISION: "jaxik.explain tells what is too near",
     Reason.OUT_OF_REACH: "give a pose within reach, or a task that binds less",
-    Reason.NOT_CONVERGED: "another seed, more rounds or a smaller margin may help",
+    Reason.NOT_CONVERGED: "another seed, more rounds, a longer timeout or a smaller margin may help",
     Reason.INVALID: "give finite numbers",
 }
 SAME = 1e-3  # [rad, m] in each joint: nearer postures are one

@@ -119,7 +119,7 @@ class Trajectory(Result):
         Traced; `vmap` it over a stack. In float32 an acceleration may be a thousandth of its limit off.
         """
         _check_one("Trajectory.at", self.time)
-        return Motion(*_state(jnp, self, jnp.asarray(t)))
+        return Motion(*_state(jnp, self, t := jnp.asarray(t)), time=t)
 
     def sample(self, dt: float) -> Motion:
         """Samples as a controller takes them: `time` (i,), one a `dt` [s], the last at the end; q, velocity and acceleration

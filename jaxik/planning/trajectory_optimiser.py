@@ -52,7 +52,10 @@ class TrajectoryResult(Result):
     multipliers: Float[np.ndarray, "*b j m"]
     pressure: Float[np.ndarray, "*b k l"]
     ROW: ClassVar = "motion"
-    HELP: ClassVar = HELP | {Reason.NOT_CONVERGED: "more spans, a guess or a smaller margin may help"}
+    HELP: ClassVar = HELP | {
+        Reason.LIMITS: "give values between robot.lower and robot.upper, a longer duration, or wider limits of the motion",
+        Reason.NOT_CONVERGED: "more spans, a guess or a smaller margin may help",
+    }
 
 
 def optimise_trajectory(

@@ -117,6 +117,8 @@ class TrajectoryOptions(Options, who="optimise_trajectory"):
             raise ValueError(f"{who}: degree 2 has no acceleration at knots, nor torque there; write degree=3")
         if self.collision is False and self.collision_weight:
             raise ValueError(f"{who}: collision_weight with collision=False, which looks at nothing; leave one of them out")
+        if self.collision != "constraint" and self.margin:
+            raise ValueError(f"{who}: margin {self.margin:g} with collision={self.collision!r}, which keeps none; leave it out")
 
     @property
     def kept_margin(self) -> float | None:

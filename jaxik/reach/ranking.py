@@ -23,8 +23,8 @@ class PostureOptions(Options, who="posture"):
     """
 
     margin: float = number(default=0.0, unit="m", words="least clearance")
-    clearance_weight: float = number(default=1.0, least=0.0, words="of the clearance")
-    freedom_weight: float = number(default=0.5, least=0.0, words="of the freedom")
+    clearance_weight: float = number(default=1.0, least=0.0, words="weight of the clearance in the score")
+    freedom_weight: float = number(default=0.5, least=0.0, words="weight of the least free joint's freedom in the score")
     reach: float = number(
         default=0.075, above=0.0, unit="m", words="clearance beyond which more is worth nothing, as in (6) of Van Henten 2010"
     )

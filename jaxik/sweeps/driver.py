@@ -26,7 +26,6 @@ from jaxik.collision.scene_builder import make_scene
 from jaxik.ik.problem import Poses
 from jaxik.ik.solve import IKResult, solved
 from jaxik.reasons import Reason
-from jaxik.results import Reasoned
 from jaxik.sweeps.auditing import audit
 from jaxik.sweeps.evaluation import Columns, answer
 from jaxik.sweeps.store import Store, StoreError
@@ -36,7 +35,7 @@ AHEAD = 2  # chunks at a time in this process: what one does on the host alone, 
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class SweepResult(Reasoned):
+class SweepResult:
     """The end of a call of `sweep`: the store at `path`, its study, and how many chunks of it are `done`, of how many. It is
     true once all are."""
 
@@ -61,6 +60,11 @@ class SweepResult(Reasoned):
     def counts(self) -> dict[str, int]:
         """How many targets of the finished chunks ended for each reason, by its words."""
         return dict(self._counts)
+
+    @property
+    def success(self) -> np.ndarray:
+        """Which targets are solved (..., N). Host."""
+        return np.asarray(self.reason == Reason.SOLVED)
 
     @property
     def reason(self) -> np.ndarray:

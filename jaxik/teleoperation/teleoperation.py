@@ -98,7 +98,7 @@ class TeleoperationCommand(Result):
     ROW = "sample"
 
 
-class Teleoperation(Options, Stepped, who="teleoperation"):
+class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
     """A hand, an arm, and what is between; for `ControlLoop`, and traced.
 
     loop = ControlLoop(teleoperation)
@@ -144,6 +144,9 @@ class Teleoperation(Options, Stepped, who="teleoperation"):
     buttons: int = count(default=1, words="how many it is given; one that a device does not have is not pressed")
 
     def check(self) -> None:
+        if not self.collision and (self.scene is not None or self.margin):
+            given = "a scene" if self.scene is not None else f"margin {self.margin:g}"
+            raise ValueError(f"teleoperation: {given} with collision=False, which looks at nothing; leave one of them out")
         for name, kinds in (("mapping", "PositionControl"), ("channel", "WaveVariables")):
             given = getattr(self, name)
             if isinstance(given, type) or not (hasattr(given, "init") or (name == "channel" and given is None)):

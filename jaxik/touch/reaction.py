@@ -89,7 +89,7 @@ class ReactionState(NamedTuple):
     rate: Float[Array, " n"]
 
 
-class Reaction(Options, Stepped, who="reaction"):
+class Reaction(Options, Stepped, who="reaction", eq=False):
     """How an arm reacts, by table 4.1 unless told otherwise, within the robot's limits; for `ControlLoop`, and traced.
 
     loop = ControlLoop(reaction)
