@@ -264,8 +264,8 @@ def main(out):
     robot = jaxik.load("p6r")
     with tempfile.TemporaryDirectory() as folder:
         done = jaxik.sweep(STUDY, Path(folder) / "view.zarr")
-        picked = jaxik.harvest(robot, scene)
-        plan = jaxik.harvesting.plan_harvest(picked, order="row", candidates=2)
+        picked = jaxik.harvest(robot, scene, margin=0.005)
+        plan = jaxik.harvesting.plan_harvest(picked, order="row", candidates=2, margin=0.002)
         page = Page(robot, scene=scene, store=done.path, harvest=picked, port=8091, plan=plan)
         driver = browser()
         try:
@@ -283,7 +283,7 @@ def main(out):
                 print(f"{name}: {(change := changed(*views[-2:])):.2%} of the pixels")
                 assert change > CHANGE, f"{name}: nothing changed"
 
-            page.player.show(plan.rows[0].stages[2].end)
+            page.player.show(plan[0].stages[2].end)
             look("with a fruit")
             driver.save_screenshot(str(out.with_stem(f"{out.stem}_with_a_fruit")))
             page.player.show(0.0)
