@@ -18,7 +18,7 @@ from jaxik.reasons import Reason
 
 MOST = 512  # answers of a pose, turns of the same posture among them, that are looked through
 HELP = {
-    Reason.LIMITS: "values lie between robot.lower and robot.upper; a pose needs a posture there",
+    Reason.LIMITS: "give values between robot.lower and robot.upper, or a pose that has a posture there",
     Reason.COLLISION: "jaxik.explain tells what is too near",
     Reason.OUT_OF_REACH: "give a pose within reach, or a task that binds less",
     Reason.NOT_CONVERGED: "another seed, more rounds, a longer timeout or a smaller margin may help",

@@ -115,10 +115,9 @@ class TrajectoryOptions(Options, who="optimise_trajectory"):
             raise ValueError(f"{who}: degree 2 has no jerk; write degree=3")
         if self.degree == 2 and not (self.torque is None and self.power is None):
             raise ValueError(f"{who}: degree 2 has no acceleration at knots, nor torque there; write degree=3")
-        if self.collision is False and self.collision_weight:
-            raise ValueError(f"{who}: collision_weight with collision=False, which looks at nothing; leave one of them out")
-        if self.collision != "constraint" and self.margin:
-            raise ValueError(f"{who}: margin {self.margin:g} with collision={self.collision!r}, which keeps none; leave it out")
+        if self.collision is False and (self.collision_weight or self.margin):
+            given = "collision_weight" if self.collision_weight else f"margin {self.margin:g}"
+            raise ValueError(f"{who}: {given} with collision=False, which looks at nothing; leave one of them out")
 
     @property
     def kept_margin(self) -> float | None:

@@ -63,7 +63,7 @@ class SweepResult:
 
     @property
     def success(self) -> np.ndarray:
-        """Which targets are solved (..., N). Host."""
+        """Whether each target is solved (..., N). Host."""
         return np.asarray(self.reason == Reason.SOLVED)
 
     @property
