@@ -172,8 +172,8 @@ class Options:
         if not changes:
             return self
         made = object.__new__(type(self))
-        fields = {name: vars(self)[name] for name in self._kept}  # without what is cached of them
-        vars(made).update(fields | {name: self._kept[name](self.who, name, value) for name, value in changes.items()})
+        before = {name: vars(self)[name] for name in self._kept}  # without what is cached of them
+        vars(made).update(before | {name: self._kept[name](self.who, name, value) for name, value in changes.items()})
         made.check()
         return made
 

@@ -47,6 +47,13 @@ def check_flag(who: str, **flags: Any) -> None:
             raise ValueError(f"{who}: {name} is {shown(value)}; allowed: True, False")
 
 
+def check_collision(who: str, collision: Any, scene: Any = None, margin: float = 0.0, other: str = "") -> None:
+    """Raises a `ValueError` of one line for a scene, a margin, or an `other` that is named, with `collision=False`."""
+    given = other or ("a scene" if scene is not None else f"margin {shown(margin)}" if margin else "")
+    if not collision and given:
+        raise ValueError(f"{who}: {given} with collision=False, which looks at nothing that may be hit; leave one of them out")
+
+
 def check_kind(who: str, name: str, value: Any, kind: type, optional: bool = False) -> None:
     """Raises likewise for what is no `kind`, nor None where that is allowed; of a file's name it says what reads the file."""
     if not isinstance(value, kind) and not (optional and value is None):

@@ -19,7 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from jaxik.checks.arrays import shaped
-from jaxik.checks.options import check_kind, check_seed
+from jaxik.checks.options import check_collision, check_kind, check_seed
 from jaxik.collision.scene import Scene
 from jaxik.identification.base_fit import condition
 from jaxik.identification.clear_motion import ClearSpace
@@ -219,9 +219,7 @@ def excite(
     check_kind("excite", "scene", scene, Scene, optional=True)
     check_seed("excite", seed)
     options = ExciteOptions.chosen(options, changes)
-    if not options.collision and (scene is not None or options.margin):
-        given = "a scene" if scene is not None else f"margin {options.margin:g}"
-        raise ValueError(f"excite: {given} with collision=False, which looks at nothing; leave one of them out")
+    check_collision("excite", options.collision, scene, options.margin)
     _check_moves(robot)
     space = ClearSpace("excite", robot, scene, options.margin) if options.collision else None
     with threadpool_limits(1, "blas"):  # matrices are small, and threads would wait for each other

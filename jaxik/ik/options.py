@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from jaxik import options as field
-from jaxik.checks.options import shown
+from jaxik.checks.options import check_collision, shown
 from jaxik.costs import Cost
 from jaxik.ik import seeds as start
 from jaxik.kinematics.task import POSE, Task
@@ -87,9 +87,8 @@ class IKOptions(field.Options, who="solve_ik"):
     )
 
     def check(self) -> None:
-        if self.collision is False and (self.margin or self.choice == "clearance"):
-            asked = "choice 'clearance'" if self.choice == "clearance" else f"margin {shown(self.margin)}"
-            raise ValueError(f"solve_ik: {asked} with collision=False, which looks at nothing that may be hit; leave it out")
+        ranked = "choice 'clearance'" if self.choice == "clearance" else ""
+        check_collision("solve_ik", self.collision, margin=self.margin, other=ranked)
         if not isinstance(self.locked, Mapping):
             raise ValueError(f"solve_ik: locked is {shown(self.locked)}; write locked={{'joint': value}}")
         if self.reference is None and (self.choice == "closest" or self.seeds == "near"):

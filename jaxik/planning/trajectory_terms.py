@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.arrays import numbers, shaped
-from jaxik.checks.options import shown
+from jaxik.checks.options import check_collision, shown
 from jaxik.collision.bvh import at_margin, grouped
 from jaxik.collision.clearances import link_contacts
 from jaxik.collision.continuous_collision import joint_reaches
@@ -115,9 +115,7 @@ class TrajectoryOptions(Options, who="optimise_trajectory"):
             raise ValueError(f"{who}: degree 2 has no jerk; write degree=3")
         if self.degree == 2 and not (self.torque is None and self.power is None):
             raise ValueError(f"{who}: degree 2 has no acceleration at knots, nor torque there; write degree=3")
-        if self.collision is False and (self.collision_weight or self.margin):
-            given = "collision_weight" if self.collision_weight else f"margin {self.margin:g}"
-            raise ValueError(f"{who}: {given} with collision=False, which looks at nothing; leave one of them out")
+        check_collision(who, self.collision, margin=self.margin, other="collision_weight" if self.collision_weight else "")
 
     @property
     def kept_margin(self) -> float | None:

@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxik.checks.arrays import Array
-from jaxik.checks.options import check_kind, shown
+from jaxik.checks.options import check_collision, check_kind, shown
 from jaxik.collision.clearances import check_geometry, clearance
 from jaxik.collision.scene import Scene
 from jaxik.costs import Cost, check_cost
@@ -144,9 +144,7 @@ class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
     buttons: int = count(default=1, words="how many it is given; one that a device does not have is not pressed")
 
     def check(self) -> None:
-        if not self.collision and (self.scene is not None or self.margin):
-            given = "a scene" if self.scene is not None else f"margin {self.margin:g}"
-            raise ValueError(f"teleoperation: {given} with collision=False, which looks at nothing; leave one of them out")
+        check_collision("teleoperation", self.collision, self.scene, self.margin)
         for name, kinds in (("mapping", "PositionControl"), ("channel", "WaveVariables")):
             given = getattr(self, name)
             if isinstance(given, type) or not (hasattr(given, "init") or (name == "channel" and given is None)):

@@ -7,27 +7,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from papers.boundary_problem import _System, boundary_value
+from pendulum import IN_PLANE, START, arm, path
 from scipy.optimize import minimize
 
 import jaxik
 from jaxik.costs import quadratic_cost
 from jaxik.motions import Line, PredictOptions, predict
 
-IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
-START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
-
 
 @pytest.fixture(scope="module")
 def pendulum():
-    return dataclasses.replace(jaxik.load("pendulum4"), self_pairs=())
+    return arm()
 
 
 @pytest.fixture(scope="module")
 def line(pendulum):
-    start = np.asarray(jaxik.forward_kinematics(pendulum, START))
-    end = start.copy()
-    end[:2, 3] = 0.5, 0.0
-    return Line(start, end)
+    return path(pendulum)
 
 
 def test_a_free_start_is_that_of_the_descent(pendulum, line):

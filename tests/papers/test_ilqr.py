@@ -7,29 +7,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from papers import ilqr
+from pendulum import IN_PLANE, START, arm, path
 from scipy.optimize import lsq_linear, minimize
 
-import jaxik
 from jaxik.costs import quadratic_cost
-from jaxik.motions import Line, PredictOptions, predict
+from jaxik.motions import PredictOptions, predict
 from jaxik.motions.predictive import future, objective, problem
 from jaxik.optimise import QUASI_NEWTON
-
-IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
-START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
 
 
 @pytest.fixture(scope="module")
 def pendulum():
-    return dataclasses.replace(jaxik.load("pendulum4"), self_pairs=())
+    return arm()
 
 
 @pytest.fixture(scope="module")
 def line(pendulum):
-    start = np.asarray(jaxik.forward_kinematics(pendulum, START))
-    end = start.copy()
-    end[:2, 3] = 0.5, 0.0
-    return Line(start, end)
+    return path(pendulum)
 
 
 def test_ilqr_agrees_and_keeps_its_bounds(pendulum, line):
