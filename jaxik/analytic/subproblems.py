@@ -36,7 +36,7 @@ from jaxik.analytic.turns import (
     turns_to_meet,
     turns_to_plane,
 )
-from jaxik.checks.arrays import Array, as_shaped
+from jaxik.checks.arrays import Array, as_numbers
 from jaxik.spatial.algebra import Scalar, Vec3, safe_sqrt, stack, traced
 from jaxik.spatial.ball import minimum
 from jaxik.spmd import kernel
@@ -54,7 +54,7 @@ def _given(*shapes: tuple[int, ...], **arrays: Any) -> tuple[list[Vec3], Any, fl
     """Arrays of these shapes, or vectors (3,), by rows as scalars of their common type; that type, and its rounding. Raises
     `ValueError` for other shapes."""
     shapes = shapes or ((3,),) * len(arrays)
-    given = [as_shaped(name, each, shape) for (name, each), shape in zip(arrays.items(), shapes, strict=True)]
+    given = [as_numbers(name, each, shape) for (name, each), shape in zip(arrays.items(), shapes, strict=True)]
     dtype = jnp.result_type(*given, jnp.float32)
     rows = [row for each in given for row in each.astype(dtype).reshape(-1, 3)]
     return [Vec3(*traced(row)) for row in rows], dtype, float(np.finfo(dtype).eps)
@@ -106,7 +106,7 @@ def subproblem_3(p: Float[Array, "3"], q: Float[Array, "3"], k: Float[Array, "3"
     Source: Murray, Li and Sastry 1994, ch. 3.3. Raises `ValueError` for other shapes.
     """
     (p_, q_, k_), dtype, eps = _given(p=p, q=q, k=k)
-    d = as_shaped("d", d, ()).astype(dtype)
+    d = as_numbers("d", d, ()).astype(dtype)
     turns, margin = turns_to_distance(p_, q_, k_, d * d, eps)
     return _turns([(turn,) for turn in turns], margin, dtype)
 
@@ -118,7 +118,7 @@ def subproblem_4(h: Float[Array, "3"], p: Float[Array, "3"], k: Float[Array, "3"
     Source: Elias and Wen 2022. Raises `ValueError` for other shapes.
     """
     (h_, p_, k_), dtype, eps = _given(h=h, p=p, k=k)
-    turns, margin = turns_to_plane(h_, p_, k_, as_shaped("d", d, ()).astype(dtype), eps)
+    turns, margin = turns_to_plane(h_, p_, k_, as_numbers("d", d, ()).astype(dtype), eps)
     return _turns([(turn,) for turn in turns], margin, dtype)
 
 
@@ -147,7 +147,7 @@ def subproblem_6(h: Float[Array, "2 2 3"], p: Float[Array, "2 2 3"], k: Float[Ar
     Source: Elias and Wen 2022. Raises `ValueError` for other shapes.
     """
     vectors, dtype, eps = _given((2, 2, 3), (2, 2, 3), (2, 3), h=h, p=p, k=k)
-    axes, given = vectors[8:], as_shaped("d", d, (2,)).astype(dtype)
+    axes, given = vectors[8:], as_numbers("d", d, (2,)).astype(dtype)
     near, far = ([row_of(vectors[2 * j + i], vectors[4 + 2 * j + i], axes[i]) for j in range(2)] for i in range(2))
     far = [(given[j] - known, -cos, -sin) for j, (known, cos, sin) in enumerate(far)]
     found = _either_side((near[0], near[1]), (far[0], far[1]), eps)

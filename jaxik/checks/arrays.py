@@ -8,59 +8,87 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.checks.options import shown
+from jaxik.checks.options import as_count, shown
 
 Array = jax.Array | np.ndarray
 RIGID = 1e-4  # how far R'R may be from 1 in a frame that is still one: rotations in files are rounded
 
 
-def numbers(what: str, given: Any) -> np.ndarray:
-    """`given` in float64. Raises `ValueError` for what is no array of integers or floats: text, truth values, ragged
-    lists, masked entries."""
+Shape = tuple[Any, ...]  # of lengths; a letter is any length, and `...` in front any leading axes
+
+
+def numbers(what: str, given: Any, *shapes: Shape, finite: bool = False) -> np.ndarray:
+    """`given` in float64. Raises `ValueError` for what is no array of integers or floats: text, truth values, ragged lists,
+    masked entries; for a shape that is none of `shapes`, if there are any; and where all are to be `finite` for others."""
     if isinstance(given, np.ma.MaskedArray) and np.ma.is_masked(given):  # what lies under a mask would come back
         raise ValueError(f"{what}: masked entries; write finite ints or floats, and leave out what is not known")
     try:
         array = np.asarray(given)
-        if array.dtype.kind in "iuf":
-            return array.astype(np.float64)
     except jax.errors.TracerArrayConversionError:
         raise ValueError(f"{what}: traced; give numbers, and replace the arrays of what is made of them") from None
     except (TypeError, ValueError, OverflowError):
-        pass
-    raise ValueError(f"{what}: {type(given).__name__} that is no array of numbers; write finite ints or floats")
+        array = np.asarray(None)
+    if array.dtype.kind not in "iuf":
+        raise ValueError(f"{what}: {type(given).__name__} that is no array of numbers; write finite ints or floats")
+    check_shape(what, array, *shapes)
+    if finite and not np.isfinite(array).all():
+        raise ValueError(f"{what} holds {array[~np.isfinite(array)][0]:g}; write finite numbers, not NaN or infinity")
+    return array.astype(np.float64)
 
 
-def shaped(what: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """`numbers` of one shape. Raises `ValueError` for another."""
-    array = numbers(what, given)
-    if array.shape != shape:
-        raise ValueError(f"{what} of shape {array.shape}; allowed: {shape if shape else 'one number'}")
-    return array
-
-
-def as_numbers(what: str, given: Any) -> jax.Array:
-    """`given`, traced or not, as an array of integers or floats. Raises `ValueError` for what is none."""
+def as_numbers(what: str, given: Any, *shapes: Shape) -> jax.Array:
+    """`given`, traced or not, as an array of integers or floats. Raises `ValueError` for what is none, and for a shape that is
+    none of `shapes`, if there are any."""
     try:
         array = jnp.asarray(given)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{what} is {shown(given)}; write an array of numbers") from None
     if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
         raise ValueError(f"{what} is an array of {array.dtype}; write real numbers")
+    check_shape(what, array, *shapes)
     return array
 
 
-def as_shaped(what: str, given: Any, shape: tuple[int, ...]) -> jax.Array:
-    """`as_numbers` of one shape. Raises `ValueError` for another."""
-    array = as_numbers(what, given)
-    if array.shape != shape:
-        raise ValueError(f"{what} has the shape {array.shape}; allowed: {shape if shape else 'one number'}")
-    return array
+def as_given(what: str, given: Any, *shapes: Shape) -> Array:
+    """`numbers` where they are known, and `as_numbers` where they are traced."""
+    return numbers(what, given, *shapes) if is_known(given) else as_numbers(what, given, *shapes)
 
 
-def as_given(what: str, given: Any, shape: tuple[int, ...]) -> Array:
-    """Numbers of one shape, in float64 where they are known and as they are where they are traced. Raises `ValueError`
-    likewise."""
-    return shaped(what, given, shape) if is_known(given) else as_shaped(what, given, shape)
+def check_shape(what: str, array: Any, *shapes: Shape) -> None:
+    """Raises `ValueError` for an array in none of the `shapes`; any will do where there are none."""
+    if shapes and not any(fits(array.shape, shape) for shape in shapes):
+        raise ValueError(f"{what} has the shape {array.shape}; allowed: {' or '.join(map(written, shapes))}")
+
+
+def fits(lengths: tuple[int, ...], shape: Shape) -> bool:
+    """Whether an array of these `lengths` has the `shape`."""
+    if shape[:1] == (...,):
+        return len(lengths) >= len(shape) - 1 and fits(lengths[len(lengths) - len(shape) + 1 :], shape[1:])
+    return len(lengths) == len(shape) and all(isinstance(n, str) or n == m for n, m in zip(shape, lengths, strict=True))
+
+
+def written(shape: Shape) -> str:
+    """The shape in words, such as (k, 3)."""
+    lengths = ", ".join("..." if n is ... else str(n) for n in shape)
+    return f"({lengths}{',' * (len(shape) == 1)})" if shape else "one number"
+
+
+def as_count_or_values(name: str, value: Any, shape: Shape) -> int | np.ndarray:
+    """A count, or finite values in float64 of the `shape`, at least one row of them; rows of one value may be bare.
+
+    Raises a `ValueError` of one line for anything else: a truth value, text, a lone float.
+    """
+    also = f", or finite values of shape {written(shape)}"
+    try:
+        given = np.asarray(value)
+    except (TypeError, ValueError):  # ragged
+        raise ValueError(f"{name}: {type(value).__name__} that is no array; allowed: a count{also}") from None
+    if not given.ndim:
+        return as_count(name, value, also)
+    rows = given[:, None] if shape[1:] == (1,) and given.ndim == 1 else given
+    if given.dtype.kind not in "iuf" or not fits(rows.shape, shape) or not len(rows) or not np.isfinite(given).all():
+        raise ValueError(f"{name} has shape {given.shape}, {given.dtype}; allowed: a count{also}")
+    return rows.astype(np.float64)
 
 
 def stop_gradients(tree: Any) -> Any:
@@ -86,9 +114,7 @@ def direction(what: str, given: Any) -> np.ndarray:
 
     Raises `ValueError` for another shape, and for what has no length or is not finite.
     """
-    axis = shaped(what, given, (3,))
-    if not np.all(np.isfinite(axis)):
-        raise ValueError(f"{what} holds {axis[~np.isfinite(axis)][0]:g}; write finite numbers, not NaN or infinity")
+    axis = numbers(what, given, (3,), finite=True)
     norm = float(np.linalg.norm(axis))
     if not 1e-9 < norm < np.inf:
         raise ValueError(f"{what} is no direction; write a unit vector such as (0, 0, 1)")
@@ -109,14 +135,17 @@ def positive(what: str, given: Any, lone: bool = False) -> float | tuple[float, 
     return tuple(values.tolist()) if values.ndim else float(values)
 
 
-def is_rigid(frames: np.ndarray) -> np.ndarray:
-    """Whether each of `frames` (..., 4, 4) is finite, a right-handed rotation and a translation."""
-    rotation = frames[..., :3, :3]
+def is_rigid(frames: Any) -> Any:
+    """Whether each of `frames` (..., 4, 4) is finite, a right-handed rotation and a translation. Traced, or in NumPy."""
+    xp: Any = np if isinstance(frames, np.ndarray) else jnp
+    rotation, last = frames[..., :3, :3], np.array([0.0, 0.0, 0.0, 1.0])
     with np.errstate(all="ignore"):
-        off = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(axis=(-1, -2), initial=0.0)
-        last = np.abs(frames[..., 3, :] - [0.0, 0.0, 0.0, 1.0]).max(axis=-1, initial=0.0)
-        finite = np.isfinite(frames).all(axis=(-1, -2))
-        return np.asarray(finite & (off <= RIGID) & (last <= RIGID) & (np.linalg.det(rotation) > 0.0))
+        x, y, z = (rotation[..., i, :] for i in range(3))
+        right_handed = xp.sum(xp.cross(x, y) * z, axis=-1) > 0.0
+        off = xp.abs(xp.swapaxes(rotation, -1, -2) @ rotation - np.eye(3))
+        away = xp.abs(frames[..., 3, :] - last)
+        near = xp.all(off <= RIGID, axis=(-1, -2)) & xp.all(away <= RIGID, axis=-1)
+        return near & right_handed & xp.all(xp.isfinite(frames), axis=(-1, -2))
 
 
 def rigid_frame(what: str, given: Any) -> Any:
@@ -125,10 +154,9 @@ def rigid_frame(what: str, given: Any) -> Any:
     Raises `ValueError` for another shape, and for what shears, scales or mirrors.
     """
     if isinstance(given, jax.core.Tracer):
-        if given.shape != (4, 4):
-            raise ValueError(f"{what} of shape {given.shape}; allowed: (4, 4)")
+        check_shape(what, given, (4, 4))
         return given
-    frame = shaped(what, given, (4, 4))
+    frame = numbers(what, given, (4, 4))
     if not is_rigid(frame):
         raise ValueError(f"{what} is no rigid frame; allowed: finite, a right-handed rotation, and 0 0 0 1 below")
     return given if isinstance(given, jax.Array) and jnp.issubdtype(given.dtype, jnp.floating) else frame

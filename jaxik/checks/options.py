@@ -1,4 +1,4 @@
-"""Options that are one word of a few, a number, a count, or a count or the values themselves."""
+"""Options that are one word of a few, a number or a count."""
 
 from __future__ import annotations
 
@@ -112,22 +112,3 @@ def as_count(name: str, value: Any, also: str = "", least: int = 1) -> int:
     if given is None or np.asarray(given).dtype.kind not in "iu" or int(given) < least:
         raise ValueError(f"{name} is {shown(value)}; allowed: a count, which is an integer and at least {least}{also}")
     return int(given)
-
-
-def as_count_or_values(name: str, value: Any, shape: tuple[int, ...]) -> int | np.ndarray:
-    """A count, or finite values in float64 of the `shape`, in which -1 is any number but 0; rows of one value may be bare.
-
-    Raises a `ValueError` of one line for anything else: a truth value, text, a lone float.
-    """
-    also = f", or finite values of shape ({', '.join('m' if n < 0 else str(n) for n in shape)}{',' * (len(shape) == 1)})"
-    try:
-        given = np.asarray(value)
-    except (TypeError, ValueError):  # ragged
-        raise ValueError(f"{name}: {type(value).__name__} that is no array; allowed: a count{also}") from None
-    if not given.ndim:
-        return as_count(name, value, also)
-    rows = given[:, None] if shape == (-1, 1) and given.ndim == 1 else given
-    fits = rows.ndim == len(shape) and rows.shape[1:] == shape[1:] and len(rows) > 0
-    if given.dtype.kind not in "iuf" or not fits or not np.isfinite(given).all():
-        raise ValueError(f"{name} has shape {given.shape}, {given.dtype}; allowed: a count{also}")
-    return rows.astype(np.float64)

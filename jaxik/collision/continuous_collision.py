@@ -28,7 +28,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Bool, Float, Int
 
-from jaxik.checks.arrays import Array, as_shaped, is_known, stop_gradients
+from jaxik.checks.arrays import Array, as_numbers, is_known, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.bvh import balls_of, decided_within, grouped, obstacles_in, own_in, pair_tables
 from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_clearances
@@ -103,7 +103,7 @@ def motion_clearance(
     check_geometry(robot)
     start, goal = as_configuration(robot, start), as_configuration(robot, goal)
     numbers = {"margin": margin, "resolution": resolution, "enough": enough}
-    margin, resolution, enough = (as_shaped(f"{who}: {name}", value, ()) for name, value in numbers.items())
+    margin, resolution, enough = (as_numbers(f"{who}: {name}", value, ()) for name, value in numbers.items())
     if not isinstance(resolution, jax.core.Tracer):
         check_finite(who, resolution=float(resolution))
         if not resolution > 0.0:

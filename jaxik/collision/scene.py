@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import Array, is_known, is_rigid, rigid_frame
+from jaxik.checks.arrays import Array, Shape, check_shape, is_known, is_rigid, rigid_frame
 from jaxik.checks.options import no_such, shown
 from jaxik.pytree import Constant, static
 from jaxik.spatial.rotations import frame
@@ -25,13 +25,13 @@ from jaxik.spatial.rotations import frame
 LIMIT = 100.0  # [m] that anything may be away or long; a crop or a cell is smaller, one in millimetres is not
 FAR = 1e6  # [m] where padding stands: exact in float32 as a square, and far beyond LIMIT
 SIZES = (0, 8, 32, *(k * 2**n for n in range(5, 14) for k in (2, 3)))
-SHAPES: dict[str, dict[str, tuple[int, ...]]] = {  # of k obstacles, k written as -1; the points' radius is that of all
-    "points": {"center": (-1, 3), "radius": ()},
-    "spheres": {"center": (-1, 3), "radius": (-1,)},
-    "capsules": {"a": (-1, 3), "b": (-1, 3), "radius": (-1,)},
-    "boxes": {"world_T_box": (-1, 4, 4), "half": (-1, 3)},
-    "cylinders": {"world_T_cylinder": (-1, 4, 4), "radius": (-1,), "half": (-1,)},
-    "triangles": {"a": (-1, 3), "b": (-1, 3), "c": (-1, 3), "solid": (-1,)},
+SHAPES: dict[str, dict[str, Shape]] = {  # of k obstacles; the points' radius is that of all
+    "points": {"center": ("k", 3), "radius": ()},
+    "spheres": {"center": ("k", 3), "radius": ("k",)},
+    "capsules": {"a": ("k", 3), "b": ("k", 3), "radius": ("k",)},
+    "boxes": {"world_T_box": ("k", 4, 4), "half": ("k", 3)},
+    "cylinders": {"world_T_cylinder": ("k", 4, 4), "radius": ("k",), "half": ("k",)},
+    "triangles": {"a": ("k", 3), "b": ("k", 3), "c": ("k", 3), "solid": ("k",)},
 }
 KINDS = tuple(SHAPES)
 SIZES_OF = ("radius", "half", "solid")  # which of the fields say how large and what, not where
@@ -271,7 +271,7 @@ def check_scene(scene: Scene) -> None:
         who, count = f"scene '{scene.name}': {kind}", -1
         arrays = {name: getattr(getattr(scene, kind), name) for name in SHAPES[kind]}
         for name, array in arrays.items():
-            _check_shape(f"{who}: {name}", array, tuple(count if n < 0 else n for n in SHAPES[kind][name]))
+            _check_array(f"{who}: {name}", array, tuple(count if n == "k" and count >= 0 else n for n in SHAPES[kind][name]))
             count = len(array) if count < 0 else count
         if len(owners) > count:
             raise ValueError(f"{who}: {count} for {len(owners)} owners; make the scene anew (make_scene, SceneBuilder)")
@@ -279,12 +279,11 @@ def check_scene(scene: Scene) -> None:
             _check_values(who, arrays)
 
 
-def _check_shape(what: str, array: Any, shape: tuple[int, ...]) -> None:
-    """Checks for an array of numbers of a shape, in which -1 is any length."""
+def _check_array(what: str, array: Any, shape: Shape) -> None:
+    """Checks for an array of numbers of a shape."""
     if not isinstance(array, np.ndarray | np.generic | jax.Array) or array.dtype.kind not in "iuf":
         raise ValueError(f"{what}: {type(array).__name__} that is no array of numbers")
-    if len(array.shape) != len(shape) or any(n not in (-1, m) for n, m in zip(shape, array.shape, strict=True)):
-        raise ValueError(f"{what} has the shape {array.shape}; allowed: {str(shape).replace('-1', 'k')}")
+    check_shape(what, array, shape)
 
 
 def _check_values(who: str, arrays: dict[str, Any]) -> None:

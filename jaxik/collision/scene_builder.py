@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.checks.arrays import direction, numbers, rigid_frame, shaped
+from jaxik.checks.arrays import direction, numbers, rigid_frame
 from jaxik.checks.options import check_flag, shown
 from jaxik.collision.scene import KINDS, LIMIT, Boxes, Capsules, Cylinders, Mark, Points, Scene, Spheres, Triangles, remembered
 from jaxik.collision.surfaces import as_bodies, polygon_triangles
@@ -63,7 +63,7 @@ class SceneBuilder:
         """A mark, and an object of its name, which may not be taken away: with a `radius` a capsule that hangs `length` below
         `position`, against the axis; and other `obstacles` by the keywords of `add`, or none."""
         who = f"mark '{shown(name)}': "
-        top = in_metres(f"{who}position", shaped(f"{who}position", position, (3,)))
+        top = in_metres(f"{who}position", numbers(f"{who}position", position, (3,)))
         up, long, thick = direction(f"{who}axis", axis), size(f"{who}length", length), size(f"{who}radius", radius)
         rows = _each(who, obstacles)
         if long > 0.0 and not thick:
@@ -229,7 +229,7 @@ def _listed(what: str, given: Any, row: Row) -> list[Any]:
 
 def size(what: str, given: Any) -> float:
     """`given` as a length of 0 or more [m]. Raises `ValueError` for what is none."""
-    return float(in_metres(what, shaped(what, given, ()), 1))
+    return float(in_metres(what, numbers(what, given, ()), 1))
 
 
 def in_metres(what: str, values: np.ndarray, sizes: int = 0) -> np.ndarray:

@@ -30,7 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import as_numbers, as_shaped
+from jaxik.checks.arrays import as_numbers
 from jaxik.kinematics.drive import column
 from jaxik.kinematics.robot import Robot, need_drives
 from jaxik.spmd import kernel
@@ -49,16 +49,8 @@ class _Law(NamedTuple):
 
 def _of_joints(who: str, name: str, robot: Robot, given: Any) -> jax.Array:
     """Returns one number a joint, as floats."""
-    values = as_shaped(f"{who}: {name}", given, (robot.num_joints,))
+    values = as_numbers(f"{who}: {name}", given, (robot.num_joints,))
     return values.astype(jnp.result_type(values, float)) if values.dtype.kind != "f" else values
-
-
-def _one_or_all(what: str, robot: Robot, given: Any) -> jax.Array:
-    """Returns one number for all joints, or one for each."""
-    values = as_numbers(what, given)
-    if values.shape not in ((), (robot.num_joints,)):
-        raise ValueError(f"{what} has the shape {values.shape}; allowed: one number, or ({robot.num_joints},)")
-    return values
 
 
 def _sign(x: Any, width: Any) -> Any:
@@ -67,7 +59,7 @@ def _sign(x: Any, width: Any) -> Any:
 
 def _law(who: str, robot: Robot, qdot: Any, width: Any) -> _Law:
     drives, qdot = need_drives(who, robot), _of_joints(who, "qdot", robot, qdot)
-    width = _one_or_all(f"{who}: width", robot, width).astype(qdot.dtype)
+    width = as_numbers(f"{who}: width", width, (), (robot.num_joints,)).astype(qdot.dtype)
     of = lambda get: column(drives, get, qdot.dtype)
     ratio, at_motor = of(lambda d: d.ratio), np.array([d.friction.side == "motor" for d in drives])
     r = jnp.where(at_motor, ratio, 1.0)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import Array, as_numbers, as_shaped, is_known, numbers
+from jaxik.checks.arrays import Array, as_numbers, is_known, numbers
 from jaxik.checks.options import check_kind, shown
 from jaxik.kinematics.forward import JointFrames, joint_frames
 from jaxik.kinematics.robot import Robot, as_configuration
@@ -128,7 +128,7 @@ def _columns(robot: Robot, frames: JointFrames, joint: Any, at: Vec3) -> list[Ve
 
 def _placed(who: str, robot: Robot, q: Any, joint: Any, point: Any) -> tuple[JointFrames, Any, Vec3, Any]:
     q = as_configuration(robot, q)
-    at = Vec3(*traced(as_shaped(f"{who}: point", point, (3,)).astype(q.dtype)))
+    at = Vec3(*traced(as_numbers(f"{who}: point", point, (3,)).astype(q.dtype)))
     joint = as_numbers(f"{who}: joint", joint)
     if joint.shape:
         raise ValueError(f"{who}: joint has the shape {joint.shape}; allowed: one number; for a batch use jax.vmap")

@@ -28,7 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import Array, as_shaped, is_known
+from jaxik.checks.arrays import Array, as_numbers, is_known
 from jaxik.checks.masses import check_mass
 from jaxik.checks.options import check_kind, no_such
 from jaxik.dynamics.rigid_bodies import Moments, Placed, motions, placed
@@ -120,21 +120,21 @@ def _rotor(robot: Robot, joint: int) -> Scalar:
 def _rates(what: str, robot: Robot, given: Any, dtype: Any) -> list[Scalar]:
     """Returns one scalar a joint; 0 where none are given."""
     n = robot.num_joints
-    return [0.0] * n if given is None else traced(as_shaped(what, given, (n,)).astype(dtype))
+    return [0.0] * n if given is None else traced(as_numbers(what, given, (n,)).astype(dtype))
 
 
 def _base_gravity(robot: Robot, gravity: Any, dtype: Any) -> Vec3:
     """Gravity in base axes."""
     known = gravity is GRAVITY  # what is not given is a constant of the kernel
     axes = Frame.of(robot.world_T_base, float(np.finfo(dtype).eps)).rotation.T
-    return axes @ Vec3(*(gravity if known else traced(as_shaped("gravity", gravity, (3,)).astype(dtype))))
+    return axes @ Vec3(*(gravity if known else traced(as_numbers("gravity", gravity, (3,)).astype(dtype))))
 
 
 def _in_joints(robot: Robot, q: Sequence[Scalar], wrenches: Any, dtype: Any) -> list[tuple[Vec3, Vec3]]:
     """Wrenches (n, 6) in base axes, in those of the joints."""
     if wrenches is None:
         return [(ZERO, ZERO)] * len(q)
-    rows = as_shaped("wrenches", wrenches, (len(q), 6)).astype(dtype)
+    rows = as_numbers("wrenches", wrenches, (len(q), 6)).astype(dtype)
     turns = [frame.rotation.T for frame in joint_frames(robot, q, dtype=dtype).joints]
     return [(t @ Vec3(*traced(row[:3])), t @ Vec3(*traced(row[3:]))) for t, row in zip(turns, rows, strict=True)]
 
@@ -155,7 +155,7 @@ def wrench_on(robot: Robot, q: Float[Array, " n"], link: str, force: Any, point:
 def _wrench(robot: Robot, joint: int, q: Any, force: Any, point: Any) -> jax.Array:
     """The wrenches of a force on the body of a joint, counted from 1; 0 is the base."""
     q = as_configuration(robot, q)
-    pull, at = (Vec3(*traced(as_shaped(k, v, (3,)).astype(q.dtype))) for k, v in (("force", force), ("point", point)))
+    pull, at = (Vec3(*traced(as_numbers(k, v, (3,)).astype(q.dtype))) for k, v in (("force", force), ("point", point)))
     rows = [(0.0,) * 6 for _ in range(robot.num_joints)]
     if joint:
         origin = joint_frames(robot, traced(q), dtype=q.dtype).joints[joint - 1].translation

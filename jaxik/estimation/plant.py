@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.checks.arrays import numbers, shaped
+from jaxik.checks.arrays import numbers
 from jaxik.checks.optional_modules import optional
 from jaxik.checks.options import check_finite, check_kind, check_seed, no_such, shown
 from jaxik.dynamics.actuation import friction_torque, motor_current
@@ -238,9 +238,9 @@ class _OnBody(NamedTuple):
 def _on_body(robot: Robot, push: Push) -> _OnBody:
     if push.link not in robot.link_names:
         raise ValueError(no_such("push", "link", push.link, robot.link_names))
-    link, point = robot.link_names.index(push.link), shaped("push: point", push.point, (3,))
+    link, point = robot.link_names.index(push.link), numbers("push: point", push.point, (3,))
     if not callable(push.force):
-        push = push._replace(force=shaped("push: force", push.force, (3,)))
+        push = push._replace(force=numbers("push: force", push.force, (3,)))
     # the world, the base and then a body a joint
     return _OnBody(1 + robot.link_joint[link], (np.asarray(robot.link_offset[link]) @ [*point, 1.0])[:3], push)
 

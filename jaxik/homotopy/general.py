@@ -30,7 +30,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Bool, Float, Int
 
-from jaxik.checks.arrays import Array, as_shaped, check_known
+from jaxik.checks.arrays import Array, as_numbers, check_known, numbers
 from jaxik.checks.options import check_kind
 from jaxik.homotopy.axis_line import (
     AXIS,
@@ -132,10 +132,8 @@ def general_arm(axes: Axes, seed: int = 0) -> GeneralArm:
 
     Raises `ValueError` for other shapes, and for joints that cannot move the tip in all six directions.
     """
-    given = [np.asarray(x, np.float64) for x in axes]
-    for name, x, shape in zip(Axes._fields, given, ((6, 3), (6, 3), (4, 4)), strict=True):
-        if x.shape != shape or not np.all(np.isfinite(x)):
-            raise ValueError(f"all_postures: {name} of shape {x.shape}; allowed: {shape}, finite numbers")
+    shapes = dict(zip(Axes._fields, ((6, 3), (6, 3), (4, 4)), strict=True))
+    given = [numbers(f"all_postures: {name}", getattr(axes, name), shape, finite=True) for name, shape in shapes.items()]
     lengths = np.linalg.norm(given[0], axis=1)
     if not np.all(lengths > 0.0):
         raise ValueError(f"all_postures: h of axis {1 + int(np.argmin(lengths))} is 0 0 0; write a direction")
@@ -323,7 +321,7 @@ def general_solutions(arm: GeneralArm, target: Float[Array, "4 4"]) -> tuple[jax
 
     Raises `ValueError` for another shape.
     """
-    target = as_shaped("all_postures: pose", target, (4, 4))
+    target = as_numbers("all_postures: pose", target, (4, 4))
     dtype = jnp.result_type(target, jnp.float32)
     arm = jax.tree.map(lambda x: jnp.asarray(x, dtype if jnp.issubdtype(x.dtype, jnp.floating) else x.dtype), arm)
     q, margin, complete = _solved(arm, target.astype(dtype))

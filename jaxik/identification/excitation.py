@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from jaxik.checks.arrays import shaped
+from jaxik.checks.arrays import numbers
 from jaxik.checks.options import check_collision, check_kind, check_seed
 from jaxik.collision.scene import Scene
 from jaxik.identification.base_fit import condition
@@ -232,7 +232,7 @@ def _middle(robot: Robot, space: ClearSpace | None, options: ExciteOptions, seed
     lower, upper = robot.finite_limits
     middle = 0.5 * (lower + upper)
     if options.middle is not None:
-        middle = shaped("excite: middle", options.middle, middle.shape)
+        middle = numbers("excite: middle", options.middle, middle.shape)
         if not np.all(half_range(robot, middle, options.share) > 0.0):
             joint = robot.joint_names[int(np.argmin(half_range(robot, middle, options.share)))]
             raise ValueError(f"excite: the middle of {joint} is not within share={options.share:g} of its limits")

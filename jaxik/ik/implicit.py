@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Bool, Float
 
-from jaxik.checks.arrays import Array, as_shaped
+from jaxik.checks.arrays import Array, as_numbers
 from jaxik.collision.clearances import link_clearances
 from jaxik.collision.scene import Scene
 from jaxik.costs import Cost
@@ -50,8 +50,8 @@ def implicit_ik(
     Raises `ValueError` for a target, q or margin of another shape. Source: Fiacco 1976, through `optimise.implicit`.
     """
     q = as_configuration(robot, q)
-    as_shaped("target", target, (4, 4))
-    as_shaped("margin", margin, ())
+    as_numbers("target", target, (4, 4))
+    as_numbers("margin", margin, ())
     dtype, looked = q.dtype, is_looked_at("implicit_ik", robot, scene, collision)
 
     # what is traced may be differentiated; the rest stays concrete and folds, which spares half the compile time

@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.analytic.families import closed_form_obstacle
-from jaxik.checks import arrays as given
-from jaxik.checks.arrays import RIGID
+from jaxik.checks.arrays import RIGID, is_rigid, numbers
 from jaxik.checks.options import check_collision, check_finite, check_seed, shown
 from jaxik.collision.bvh import Grouped, at_margin, grouped, obstacles_in
 from jaxik.collision.clearances import has_geometry
@@ -60,7 +59,7 @@ class Poses(NamedTuple):
         if isinstance(targets, jax.core.Tracer):
             mend = "jit or vmap jaxik.ik.descend_ik, or differentiate an answer by jaxik.implicit_ik"
             raise ValueError(f"solve_ik: targets are traced, and it is a driver on the host; {mend}")
-        array = given.numbers("targets", targets)
+        array = numbers("targets", targets)
         poses = frame(array) if not task.rotations and array.ndim in (1, 2) and array.shape[-1] == 3 else array
         if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
             also = " or positions (3,), (N, 3)" if not task.rotations else ""
@@ -83,14 +82,11 @@ def _fault(pose: np.ndarray) -> int:
 
 
 def _rigid_pose(pose: Any) -> tuple[Any, Any]:
-    """A pose (4, 4) with its rotation made orthonormal, and whether it was one (as `arrays.is_rigid`); else the identity."""
-    rotation, last = pose[:3, :3], jnp.array([0.0, 0.0, 0.0, 1.0])
-    off = jnp.max(jnp.abs(rotation.T @ rotation - jnp.eye(3)))
-    right_handed = jnp.dot(jnp.cross(rotation[0], rotation[1]), rotation[2]) > 0.0
-    valid = jnp.all(jnp.isfinite(pose)) & (off <= RIGID) & jnp.all(jnp.abs(pose[3] - last) <= RIGID) & right_handed
+    """A pose (4, 4) with its rotation made orthonormal, and whether it was one; else the identity."""
+    valid, rotation = is_rigid(pose), pose[:3, :3]
     for _ in range(2):  # towards the nearest rotation, quadratically [Higham 1986]
         rotation = rotation @ (1.5 * jnp.eye(3) - 0.5 * rotation.T @ rotation)
-    pose = jnp.concatenate([jnp.concatenate([rotation, pose[:3, 3:]], axis=1), last[None]])
+    pose = jnp.concatenate([jnp.concatenate([rotation, pose[:3, 3:]], axis=1), jnp.array([[0.0, 0.0, 0.0, 1.0]])])
     return jnp.where(valid, pose, jnp.eye(4)), valid
 
 
@@ -260,11 +256,7 @@ def _range(robot: Robot, lower: tuple[float, ...], upper: tuple[float, ...], one
 
 def _shaped(name: str, value: Any, shape: tuple[int, ...], least: int = 0) -> np.ndarray:
     """Broadcasts numbers with the last axes of `shape`, at least `least` of them, along the others."""
-    array = given.numbers(name, value)
-    if not (least <= array.ndim <= len(shape) and array.shape == shape[len(shape) - array.ndim :]):
-        allowed = [str(shape[k:]) if shape[k:] else "a number" for k in range(len(shape) - least, -1, -1)]
-        raise ValueError(f"{name} has shape {array.shape}; allowed: {' or '.join(allowed)}")
-    return np.broadcast_to(array, shape)
+    return np.broadcast_to(numbers(name, value, *(shape[k:] for k in range(len(shape) - least, -1, -1))), shape)
 
 
 def _strategy(robot: Robot, options: IKOptions) -> str:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import is_known, shaped
+from jaxik.checks.arrays import is_known, numbers
 from jaxik.checks.options import check_choices, check_kind, shown
 from jaxik.pytree import Constant, static
 
@@ -46,7 +46,7 @@ class _Numbers(Constant):
         return f"{type(self).__name__}({', '.join(fields)})"
 
     def _checked(self, name: str, given: Any) -> Any:
-        values = shaped(f"{type(self).__name__}: {name}", given, (2,) if name == "correction" else ())
+        values = numbers(f"{type(self).__name__}: {name}", given, (2,) if name == "correction" else ())
         finite = np.isfinite(values) | ((values == np.inf) & (name in UNBOUNDED))
         least = values > 0.0 if name in POSITIVE else (values >= 0.0) | (name in SIGNED)
         if not np.all(finite & least):

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxik.checks.arrays import Array, shaped
+from jaxik.checks.arrays import Array, numbers
 from jaxik.checks.options import check_kind
 from jaxik.kinematics.robot import Robot
 from jaxik.spatial.algebra import Scalar
@@ -41,9 +41,9 @@ def turns(robot: Robot, q: Float[Array, " n"], *, lower: Any = None, upper: Any 
     """
     check_kind("turns", "robot", robot, Robot)
     shape = (robot.num_joints,)
-    q = shaped("turns: q", q, shape)
-    lower = robot.lower if lower is None else shaped("turns: lower", lower, shape)
-    upper = robot.upper if upper is None else shaped("turns: upper", upper, shape)
+    q = numbers("turns: q", q, shape)
+    lower = robot.lower if lower is None else numbers("turns: lower", lower, shape)
+    upper = robot.upper if upper is None else numbers("turns: upper", upper, shape)
     return all_turns(robot, q[None], lower, upper)[1]
 
 

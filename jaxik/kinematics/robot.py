@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxik.checks.arrays import Array, as_given, as_numbers, as_shaped, is_known, rigid_frame
+from jaxik.checks.arrays import Array, as_given, as_numbers, is_known, rigid_frame
 from jaxik.checks.masses import check_mass
 from jaxik.checks.options import check_kind, shown
 from jaxik.kinematics.drive import Drive, column
@@ -220,7 +220,7 @@ class Robot(Constant):
         Traced. Raises `ValueError` for a robot without drives. Source: Schuetz 2017, (3.17), which prints the difference the
         other way round, and q_motor without its ratio.
         """
-        drives, torque = need_drives("torsion", self), as_shaped("torsion: torque", torque, (self.num_joints,))
+        drives, torque = need_drives("torsion", self), as_numbers("torsion: torque", torque, (self.num_joints,))
         torque = torque.astype(jnp.result_type(torque, float)) if torque.dtype.kind != "f" else torque
         return torque / column(drives, lambda d: d.stiffness, torque.dtype)
 

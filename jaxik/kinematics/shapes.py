@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import Array, shaped
+from jaxik.checks.arrays import Array, numbers
 from jaxik.checks.options import shown
 from jaxik.pytree import Constant, read_only, static
 
@@ -68,7 +68,7 @@ class ConvexPart(_Value):
     geometry: str
 
     def __post_init__(self) -> None:
-        corners = shaped("ConvexPart: corners", self.corners, (max(len(self.corners), 1), 3))
+        corners = numbers("ConvexPart: corners", self.corners, ("k", 3))
         if not (np.isfinite(corners).all() and 0.0 <= self.radius < np.inf):
             raise ValueError(
                 f"ConvexPart: radius {shown(self.radius)}, {len(corners)} corners; write finite numbers, radius >= 0"

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import Array, as_shaped
+from jaxik.checks.arrays import Array, as_numbers
 from jaxik.checks.options import as_count, check_finite, check_kind
 from jaxik.costs import RunningCost
 from jaxik.kinematics.robot import Robot
@@ -89,7 +89,7 @@ class PredictiveController:
         """The state at rest at q (n,), with an empty plan. Raises `ValueError` for another shape."""
         n, how = self.robot.num_joints, self.options
         # a copy: a step uses its state up
-        q = jnp.array(as_shaped(f"controller: q of {self.robot.name}", q, (n,)), jnp.result_type(float))
+        q = jnp.array(as_numbers(f"controller: q of {self.robot.name}", q, (n,)), jnp.result_type(float))
         plan = jnp.zeros((how.count, n), q.dtype)
         interval = jnp.array(how.descend.interval, q.dtype)
         zero, none = jnp.zeros((), q.dtype), jnp.zeros((), int)

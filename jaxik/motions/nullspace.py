@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import Array, as_shaped, is_known
+from jaxik.checks.arrays import Array, as_numbers, is_known
 from jaxik.checks.options import shown
 from jaxik.costs import Cost
 from jaxik.kinematics.forward import bias_acceleration, jacobian_columns, joint_frames
@@ -147,7 +147,7 @@ def downhill(robot: Robot, q: Any, cost: Cost | None, alpha: Any, weights: Any =
     if cost is None:
         return jnp.zeros(robot.num_joints)
     slope = jax.grad(cost)(as_configuration(robot, q))
-    as_shaped("alpha", alpha, ())
+    as_numbers("alpha", alpha, ())
     return -alpha * slope * inverse_weights(robot, weights, slope.dtype)
 
 
@@ -156,14 +156,14 @@ def inverse_weights(robot: Robot, weights: Any, dtype: Any) -> jax.Array:
     if weights is None:
         return jnp.ones(robot.num_joints, dtype)
     check_weights(robot, weights)
-    return 1.0 / as_shaped("weights", weights, (robot.num_joints,)).astype(dtype)
+    return 1.0 / as_numbers("weights", weights, (robot.num_joints,)).astype(dtype)
 
 
 def check_weights(robot: Robot, weights: Any) -> None:
     """Raises `ValueError` for weights (n,) of another shape, and for known ones that are not above zero; None is 1 each."""
     if weights is None:
         return
-    as_shaped(f"weights of the joints of {robot.name}", weights, (robot.num_joints,))
+    as_numbers(f"weights of the joints of {robot.name}", weights, (robot.num_joints,))
     if is_known(weights) and not np.all((np.asarray(weights) > 0.0) & np.isfinite(np.asarray(weights))):
         raise ValueError(f"weights {shown(weights)}: all are finite and > 0")
 
@@ -176,7 +176,7 @@ class TaskAt:
         self.q = q = as_configuration(robot, q)
         self.robot, self.task, self.dtype, self.motion, self.floor = robot, task, q.dtype, motion, floor
         self.inverse = inverse_weights(robot, weights, q.dtype)
-        self.target = Frame.of_entries(traced(as_shaped("pose", motion.pose, (4, 4)).astype(q.dtype)))
+        self.target = Frame.of_entries(traced(as_numbers("pose", motion.pose, (4, 4)).astype(q.dtype)))
         frames = joint_frames(robot, traced(q), dtype=q.dtype)
         self.rows = jnp.asarray(task.rows(jacobian_columns(robot, frames), self.target), q.dtype)
         position, rotation = task.residual(frames.tip, self.target)
@@ -184,14 +184,14 @@ class TaskAt:
 
     def velocity(self, gain: Any) -> Any:
         """`wdot + K werr` (m,), of a `gain` K [1/s]."""
-        as_shaped("gain", gain, ())
+        as_numbers("gain", gain, ())
         return self._components("velocity", self.motion.velocity) - gain * self.error
 
     def acceleration(self, qdot: Any, gain: Any) -> Any:
         """`wddot + K' werrdot + K werr - Jdot qdot` (m,), of a pair K [1/s2], K' [1/s], or a `gain` [1/s], its square and its
         double."""
         gains = gain if isinstance(gain, tuple) else (gain**2, 2.0 * gain)
-        qdot = as_shaped("qdot", qdot, self.q.shape).astype(self.dtype)
+        qdot = as_numbers("qdot", qdot, self.q.shape).astype(self.dtype)
         bias = self._components("bias", bias_acceleration(self.robot, self.q, qdot))
         slow = self._components("velocity", self.motion.velocity) - self.rows @ qdot
         asked = self._components("acceleration", self.motion.acceleration)
@@ -199,7 +199,7 @@ class TaskAt:
 
     def _components(self, what: str, twist: Any) -> Any:
         """The components (m,) of a twist (6,) in base axes that the task binds."""
-        twist = as_shaped(what, twist, (6,)).astype(self.dtype)
+        twist = as_numbers(what, twist, (6,)).astype(self.dtype)
         return jnp.asarray(self.task.rows([tuple(twist)], self.target))[:, 0]
 
     def resolved(self, wanted: Any, u: Any, box: Box | None = None) -> Resolved:
@@ -210,7 +210,7 @@ class TaskAt:
         task is lost, u is instead followed as far as the box lets all joints: the task comes first.
         """
         n, wanted = self.robot.num_joints, wanted.astype(self.dtype)
-        free = as_shaped("u", u, (n,)).astype(self.dtype)
+        free = as_numbers("u", u, (n,)).astype(self.dtype)
         inverse = self.inverse
         whole = self._solved(wanted, free, inverse)
         if box is None:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import RIGID, Array, as_numbers, direction, is_known, is_rigid, numbers, rigid_frame
+from jaxik.checks.arrays import Array, as_numbers, direction, is_known, is_rigid, numbers, rigid_frame
 from jaxik.checks.options import shown
 from jaxik.pytree import Pytree, static
 from jaxik.spatial.rotations import frame, rotation_exp, rotation_log
@@ -177,16 +177,9 @@ def _fields(who: str, path: Path, **shapes: tuple[int, ...]) -> list[Any]:
         if known and not np.isfinite(np.asarray(value, np.float64)).all():
             raise ValueError(f"{what} holds NaN or infinity; write finite numbers")
         if shape == (4, 4):
-            array = jnp.asarray(rigid_frame(what, value)) if known else jnp.where(_is_rigid(array), array, jnp.nan)
+            array = jnp.asarray(rigid_frame(what, value)) if known else jnp.where(is_rigid(array), array, jnp.nan)
         arrays.append(array)
     return arrays
-
-
-def _is_rigid(frame: Any) -> Any:
-    """`arrays.is_rigid` of a traced frame (4, 4)."""
-    x, y, z = frame[:3, :3]
-    off = jnp.stack([x @ x - 1.0, y @ y - 1.0, x @ y, *(jnp.cross(x, y) - z), *(frame[3] - jnp.array([0.0, 0.0, 0.0, 1.0]))])
-    return jnp.max(jnp.abs(off)) <= RIGID
 
 
 def check_path(who: str, path: Path, duration: Any, rows: tuple[int, ...] = ()) -> None:

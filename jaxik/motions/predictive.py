@@ -28,7 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import Array, as_numbers, check_known, shaped
+from jaxik.checks.arrays import Array, as_numbers, check_known, numbers
 from jaxik.checks.options import as_count, check_finite, check_seed
 from jaxik.costs import RunningCost
 from jaxik.kinematics.robot import Robot
@@ -236,9 +236,9 @@ def predict(
     check_known("predict: starts", q=q, path=path, duration=duration, guess=guess, given=given)
     if each:
         raise ValueError("predict: starts are those of one scenario; leave `each` out, or call it for each scenario")
-    q = shaped("predict: q", q, (n := robot.num_joints,))
+    q = numbers("predict: q", q, (n := robot.num_joints,))
     inputs = _random_inputs((starts, how.count, n), spread, seed)
-    inputs[0] = 0.0 if guess is None else shaped("predict: guess", guess, (how.count, n))
+    inputs[0] = 0.0 if guess is None else numbers("predict: guess", guess, (how.count, n))
     found = _predicted(robot, path, duration, np.tile(q, (starts, 1)), cost, how, inputs, more, ("guess",), progress)
     best = np.lexsort((np.nan_to_num(np.asarray(found.total), nan=np.inf), ~np.asarray(found.success)))
     return jax.tree_util.tree_map(lambda x: np.asarray(x)[best], found)

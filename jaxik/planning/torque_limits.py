@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.checks.arrays import shaped
+from jaxik.checks.arrays import numbers
 from jaxik.dynamics.recursions import inverse_dynamics
 from jaxik.kinematics.robot import Robot, need_bodies
 from jaxik.planning.limits import limit_of
@@ -59,7 +59,7 @@ def drives(who: str, robot: Robot, torque: Any, power: Any, gravity: Any) -> Dri
     gravity than (3,), and for a robot without bodies."""
     most = {"torque": torque, "power": power}
     limits = {k: limit_of(who, k, np.inf if x is None else x, (robot.num_joints,)) for k, x in most.items()}
-    found = Drives(robot, **limits, gravity=shaped(f"{who}: gravity", gravity, (3,)))
+    found = Drives(robot, **limits, gravity=numbers(f"{who}: gravity", gravity, (3,)))
     if found.limited:
         need_bodies(who, robot)
     return found

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.checks.arrays import numbers, shaped
+from jaxik.checks.arrays import numbers
 from jaxik.checks.options import check_collision, shown
 from jaxik.collision.bvh import at_margin, grouped
 from jaxik.collision.clearances import link_contacts
@@ -108,7 +108,7 @@ class TrajectoryOptions(Options, who="optimise_trajectory"):
         who, zeta = self.who, numbers(f"{self.who}: velocity_cost", self.velocity_cost)
         if zeta.shape not in ((), (2,)) or not (np.isfinite(zeta) & (zeta >= 0.0)).all():
             raise ValueError(f"{who}: velocity_cost is {shown(self.velocity_cost)}; allowed: one number or two, 0 or more")
-        shaped(f"{who}: gravity", self.gravity, (3,))
+        numbers(f"{who}: gravity", self.gravity, (3,))
         if self.spans < 2 * self.degree:
             raise ValueError(f"{who}: degree {self.degree}, spans {self.spans}; give spans twice the degree or more")
         if self.degree == 2 and (self.jerk_cost or np.isfinite(np.inf if self.jerk is None else self.jerk).any()):

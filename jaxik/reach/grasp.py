@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.checks.arrays import shaped
-from jaxik.checks.options import as_count_or_values, shown
+from jaxik.checks.arrays import as_count_or_values, numbers
+from jaxik.checks.options import shown
 from jaxik.collision.scene import Mark
 from jaxik.kinematics.robot import Robot
 from jaxik.spatial.rotations import frame
@@ -26,7 +26,7 @@ class Grasp:
     approach: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
-        up, approach = (shaped(f"grasp: {name}", getattr(self, name), (3,)) for name in ("up", "approach"))
+        up, approach = (numbers(f"grasp: {name}", getattr(self, name), (3,)) for name in ("up", "approach"))
         unit = np.allclose([np.linalg.norm(up), np.linalg.norm(approach)], 1.0, atol=1e-6)
         if not (unit and abs(up @ approach) <= 1e-6):
             given = f"up {shown(self.up)} and approach {shown(self.approach)} are no unit vectors at a right angle"
@@ -63,7 +63,7 @@ def across(axis: Any, toward: tuple[float, float, float]) -> np.ndarray:
 
 def approach_grid(angles: Any) -> np.ndarray:
     """Angles (m,) [rad] as given, or a count of them from -pi up to, and without, pi. Raises `ValueError` for anything else."""
-    angles = as_count_or_values("angles", angles, (-1,))
+    angles = as_count_or_values("angles", angles, ("m",))
     if isinstance(angles, np.ndarray):
         return angles
     return -np.pi + 2.0 * np.pi * np.arange(angles) / angles

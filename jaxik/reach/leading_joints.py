@@ -20,8 +20,7 @@ from jax import lax
 from jaxik.analytic.families import solver_of
 from jaxik.analytic.solutions import BRANCHES, closed_branches, valid_branches
 from jaxik.analytic.turns import HalfBranch
-from jaxik.checks.arrays import numbers
-from jaxik.checks.options import as_count_or_values
+from jaxik.checks.arrays import as_count_or_values, numbers
 from jaxik.kinematics.joint_turns import TURN
 from jaxik.kinematics.robot import Robot
 from jaxik.spatial.ball import possible
@@ -38,7 +37,7 @@ def leading_grid(robot: Robot, slides: Any) -> np.ndarray:
     where there is no closed form."""
     low, high = solver_of(robot).limits()
     k, around = len(low), whole_turns(robot)
-    slides = as_count_or_values("slides", slides, (-1, k))
+    slides = as_count_or_values("slides", slides, ("m", k))
     if isinstance(slides, np.ndarray):
         return slides
     return grid([np.linspace(a, b, slides, endpoint=not turn) for a, b, turn in zip(low, high, around, strict=True)])
@@ -58,14 +57,6 @@ def grid(axes: list[np.ndarray]) -> np.ndarray:
     if not axes:
         return np.zeros((1, 0))
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-
-
-def as_poses(who: str, poses: Any) -> np.ndarray:
-    """The poses (N, 4, 4) in float64. Raises `ValueError` for another shape."""
-    given = numbers(f"{who}: poses", poses)
-    if given.ndim != 3 or given.shape[1:] != (4, 4):
-        raise ValueError(f"{who}: poses of shape {given.shape}; allowed: (N, 4, 4)")
-    return given
 
 
 class Postures(NamedTuple):
@@ -88,7 +79,7 @@ def postures_over(robot: Robot, poses: Any, *, slides: Any = 11) -> Postures:
     All poses are asked at all positions which branches have the pose, inside the limits or not; only these are solved. Raises
     `ValueError` for another shape, and where the robot has no closed form.
     """
-    some, leading = as_poses("postures_over", poses).astype(np.float32), leading_grid(robot, slides)
+    some, leading = numbers("postures_over: poses", poses, ("N", 4, 4)).astype(np.float32), leading_grid(robot, slides)
     lead, count = leading.astype(np.float32), len(leading)
     cell = lambda pair: (some.take(pair // count, axis=0), lead.take(pair % count, axis=0))
     pairs = np.arange(len(some) * count, dtype=np.int32)

@@ -17,12 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.analytic.families import Solver, solver_of
+from jaxik.checks.arrays import numbers
 from jaxik.checks.options import as_count
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.joint_turns import TURN
 from jaxik.kinematics.reach_bound import ReachBound, reach_bound
 from jaxik.kinematics.robot import Robot
-from jaxik.reach.leading_joints import arm_of, as_poses, grid, may_be_inside, whole_turns
+from jaxik.reach.leading_joints import arm_of, grid, may_be_inside, whole_turns
 from jaxik.reasons import Reason
 from jaxik.results import Result
 from jaxik.spatial.algebra import Frame
@@ -62,7 +63,7 @@ def prove_reach(robot: Robot, poses: Any, *, slides: int = 41, refine: int = 5) 
     not. In float64. Raises `ValueError` for other shapes, and where the robot has no closed form.
     """
     solver, slides, refine = solver_of(robot), as_count("slides", slides), as_count("refine", refine, least=0)
-    poses, k = as_poses("prove_reach", poses), len(solver.limits()[0])
+    poses, k = numbers("prove_reach: poses", poses, ("N", 4, 4)), len(solver.limits()[0])
     unless_found = Reason.OUT_OF_REACH if solver.proves else Reason.NOT_CONVERGED
     reason = np.where(np.isfinite(poses).all(axis=(1, 2)), unless_found, Reason.INVALID)
     found = ReachProof(np.full((len(poses), k), np.nan), np.full(len(poses), -1), reason)

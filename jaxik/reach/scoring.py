@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.analytic.solutions import BRANCHES, closed_forms
-from jaxik.checks.arrays import Array, as_numbers, as_shaped
+from jaxik.checks.arrays import Array, as_numbers, numbers
 from jaxik.checks.options import as_count, check_finite
 from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.clearances import check_geometry, clearance
@@ -25,7 +25,7 @@ from jaxik.ik.problem import is_looked_at
 from jaxik.kinematics.forward import forward_kinematics, jacobian
 from jaxik.kinematics.robot import Robot
 from jaxik.optimise.linear import definite_solve
-from jaxik.reach.leading_joints import arm_of, as_poses, leading_grid
+from jaxik.reach.leading_joints import arm_of, leading_grid
 from jaxik.spmd import kernel
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
@@ -79,8 +79,8 @@ def log_reach_score(
         raise ValueError(
             f"poses {poses.shape} and q {q.shape}; {robot.name} takes (k, 4, 4) and (k, {robot.num_joints}), k >= 1"
         )
-    as_shaped("margin", margin, ())
-    as_shaped("temperature", temperature, ())
+    as_numbers("margin", margin, ())
+    as_numbers("temperature", temperature, ())
     around = grouped(scene, robot) if is_looked_at("reach_score", robot, scene, collision) else None
     each = jax.vmap(lambda pose, posture: _worth(robot, around, pose, posture, margin, temperature))
     best = temperature * jax.nn.logsumexp(each(poses, q) / temperature)
@@ -141,7 +141,7 @@ def likely_postures(
     It is for robots with a closed form; others take the answers of `solve_ik`. Without a scene the robot keeps clear of itself;
     with `collision=False` no clearance counts. Raises `ValueError` where the robot has no closed form, or no pose is one.
     """
-    poses, count = as_poses("likely_postures", poses), as_count("likely_postures: count", count)
+    poses, count = numbers("likely_postures: poses", poses, ("N", 4, 4)), as_count("likely_postures: count", count)
     check_finite("likely_postures", margin=margin)
     if not np.isfinite(poses).all(axis=(1, 2)).any():
         raise ValueError(f"likely_postures: poses {poses.shape} hold no finite frame; give (a, 4, 4), world_T_tip")

@@ -23,26 +23,19 @@ def pose(xyz: Any, *, wxyz: Any = None, rpy: Any = None) -> np.ndarray:
     """
     if wxyz is not None and rpy is not None:
         raise ValueError("pose: wxyz and rpy say the same; give one of them")
-    position, turn = _rows("xyz", xyz, 3), np.eye(3)
+    position, turn = numbers("pose: xyz", xyz, (..., 3), finite=True), np.eye(3)
     if wxyz is not None:
-        quaternion = _rows("wxyz", wxyz, 4)
+        quaternion = numbers("pose: wxyz", wxyz, (..., 4), finite=True)
         if not np.all(np.any(quaternion, axis=-1)):
             raise ValueError("pose: wxyz is 0 0 0 0, which is no rotation; write 1 0 0 0 for none")
         turn = from_wxyz(quaternion)
     if rpy is not None:
-        turn = from_rpy(_rows("rpy", rpy, 3))
+        turn = from_rpy(numbers("pose: rpy", rpy, (..., 3), finite=True))
     try:
         return frame(position, turn)
     except ValueError:
         rows = f"xyz of shape {position.shape}, {'rpy' if wxyz is None else 'wxyz'} of {turn.shape[:-2]} rows"
         raise ValueError(f"pose: {rows}; write as many of both, or one") from None
-
-
-def _rows(name: str, given: Any, width: int) -> np.ndarray:
-    array = numbers(f"pose: {name}", given)
-    if array.shape[-1:] != (width,) or not np.all(np.isfinite(array)):
-        raise ValueError(f"pose: {name} of shape {array.shape}; allowed: (..., {width}), finite numbers")
-    return array
 
 
 def frame(translation: Any = (0.0, 0.0, 0.0), rotation: Any = None) -> np.ndarray:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import Array, is_known, shaped
+from jaxik.checks.arrays import Array, is_known, numbers
 from jaxik.checks.options import check_finite, check_seed
 from jaxik.pytree import Pytree, static
 
@@ -41,7 +41,7 @@ class DelayLine(Pytree):
     def __post_init__(self) -> None:
         check_seed("delay line", self.seed)
         if is_known((self.delay, self.jitter)):
-            late = [float(shaped("delay line: delay, jitter", x, ())) for x in (self.delay, self.jitter)]
+            late = [float(numbers("delay line: delay, jitter", x, ())) for x in (self.delay, self.jitter)]
             if not (np.isfinite(late).all() and min(late) >= 0.0):
                 raise ValueError(f"delay line: delay {late[0]:g} s, jitter {late[1]:g} s; allowed: finite, at least 0")
             longest = sum(late) if self.longest is None else self.longest

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jaxik.checks.arrays import Array, as_shaped, is_known
+from jaxik.checks.arrays import Array, as_numbers, is_known
 from jaxik.checks.options import as_count, check_finite
 from jaxik.dynamics.point_force import PointForce, check_joint, material_point, point_jacobian
 from jaxik.kinematics.robot import Robot, as_configuration
@@ -68,10 +68,10 @@ def locate_contact(
 @kernel(models=2)
 def _located(robot: Robot, places: int, q: Any, external: Any, joint: Any, axis: Any, noise: Any) -> Located:
     q = as_configuration(robot, q)
-    torque = as_shaped("locate_contact: external", external, q.shape).astype(q.dtype)
-    ends = as_shaped("locate_contact: axis", axis, (2, 3)).astype(q.dtype)
-    noise = as_shaped("locate_contact: noise", noise, ()).astype(q.dtype)
-    mask = (jnp.arange(q.size) < as_shaped("locate_contact: joint", joint, ())).astype(q.dtype)
+    torque = as_numbers("locate_contact: external", external, q.shape).astype(q.dtype)
+    ends = as_numbers("locate_contact: axis", axis, (2, 3)).astype(q.dtype)
+    noise = as_numbers("locate_contact: noise", noise, ()).astype(q.dtype)
+    mask = (jnp.arange(q.size) < as_numbers("locate_contact: joint", joint, ())).astype(q.dtype)
     shares = jnp.linspace(0.0, 1.0, places, dtype=q.dtype)
 
     def tried(share: Any) -> tuple[Any, Any, Any]:

@@ -30,7 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import Array, as_shaped
+from jaxik.checks.arrays import Array, as_numbers
 from jaxik.checks.options import check_finite, shown
 from jaxik.costs import Cost, check_cost
 from jaxik.dynamics.point_force import PointForce, as_point_forces, point_jacobian, point_torque, trusted
@@ -190,7 +190,7 @@ class Reaction(Options, Stepped, who="reaction", eq=False):
         down as fast as `most` lets it and held, with a reason; what it knew stays, and it goes on from there.
         """
         q = as_configuration(self.robot, q)
-        qdot = as_shaped("reaction: qdot", qdot, q.shape).astype(q.dtype)
+        qdot = as_numbers("reaction: qdot", qdot, q.shape).astype(q.dtype)
         if not isinstance(motion, TipMotion):
             raise ValueError(f"reaction: motion is {shown(motion)}; write what path.at(t, duration) gives")
         contact = PointForce(*(x.astype(q.dtype) for x in as_point_forces("reaction", contact, self.contacts)))

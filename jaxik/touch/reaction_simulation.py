@@ -82,9 +82,7 @@ def simulate_reaction(
     if len(met) != reaction.contacts:
         raise ValueError(f"simulate_reaction: {len(met)} encounters; the reaction is one to {reaction.contacts} contacts")
     q = as_configuration(reaction.robot, q)
-    shaking = jnp.zeros(steps, q.dtype) if noise is None else as_numbers("simulate_reaction: noise", noise).astype(q.dtype)
-    if shaking.shape != (steps,):
-        raise ValueError(f"simulate_reaction: noise has the shape {shaking.shape}; allowed: ({steps},)")
+    shaking = jnp.zeros(steps, q.dtype) if noise is None else as_numbers("simulate_reaction: noise", noise, (steps,))
     return _simulation(reaction, sensor)(q, path, jnp.asarray(duration, q.dtype), met, shaking)
 
 

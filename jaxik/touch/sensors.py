@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import Array, as_shaped, direction, shaped
+from jaxik.checks.arrays import Array, as_numbers, direction, numbers
 from jaxik.checks.options import as_count, check_finite
 from jaxik.dynamics.point_force import PointForce, as_point_forces, check_joint, material_point
 from jaxik.kinematics.robot import Robot, as_configuration
@@ -57,7 +57,7 @@ class TouchSensor:
         if self.normal is not None:
             object.__setattr__(self, "normal", tuple(direction("touch sensor: normal", self.normal).tolist()))
         if self.point is not None:
-            object.__setattr__(self, "point", tuple(shaped("touch sensor: point", self.point, (3,)).tolist()))
+            object.__setattr__(self, "point", tuple(numbers("touch sensor: point", self.point, (3,)).tolist()))
             check_finite("touch sensor: point", x=self.point[0], y=self.point[1], z=self.point[2])
 
     def init(self, contacts: int = 1, dtype: Any = float) -> SensorState:
@@ -105,13 +105,10 @@ class Skin(Constant):
     normals: Float[Array, "m 3"]
 
     def __post_init__(self) -> None:
-        points = np.atleast_2d(self.points)
-        if not points.size:
+        if not np.size(self.points):
             raise ValueError("skin: no points; allowed: (m, 3) of at least one cell")
-        vars(self)["points"] = shaped("skin: points", self.points, (len(points), 3))
-        if not np.isfinite(self.points).all():
-            raise ValueError("skin: points hold NaN or infinity; allowed: finite numbers")
-        normals = shaped("skin: normals", self.normals, (len(points), 3))
+        points = vars(self)["points"] = numbers("skin: points", self.points, ("m", 3), finite=True)
+        normals = numbers("skin: normals", self.normals, (len(points), 3))
         vars(self)["normals"] = np.stack([direction(f"skin: normal {i}", x) for i, x in enumerate(normals)])
         super().__post_init__()
 
@@ -125,7 +122,7 @@ class Skin(Constant):
     def contact(self, robot: Robot, q: Any, pressed: Any) -> PointForce:
         """Returns the resultant of what the cells feel (m,) [N], at the mean of the places of those that are pressed, by it.
         Traced. Where none feels anything the force is 0. Raises `ValueError` for another shape."""
-        pressed = as_shaped("skin: pressed", pressed, (len(self.points),))
+        pressed = as_numbers("skin: pressed", pressed, (len(self.points),))
         normals, places = self._normals(robot, q), self._places(robot, q)
         push = jnp.maximum(pressed, 0.0)  # an offset's pull would lead off the skin
         total = jnp.sum(push)

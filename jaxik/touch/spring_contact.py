@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import Array, as_given, as_shaped, direction, is_known
+from jaxik.checks.arrays import Array, as_given, as_numbers, direction, is_known
 from jaxik.checks.options import check_finite, shown
 from jaxik.dynamics.point_force import material_point
 from jaxik.kinematics.robot import Robot
@@ -53,7 +53,7 @@ class SpringContact(Constant):
 
     def depth(self, point: Any) -> jax.Array:
         """Returns how deep a point (3,) [m] is behind the wall [m]; 0 in front of it. Traced."""
-        point = as_shaped("spring contact: the point that meets it", point, (3,))
+        point = as_numbers("spring contact: the point that meets it", point, (3,))
         return jnp.maximum(jnp.dot(jnp.asarray(self.point) - point, jnp.asarray(self.normal)), 0.0)
 
     def force(self, point: Any, velocity: Any = 0.0) -> jax.Array:

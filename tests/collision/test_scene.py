@@ -244,7 +244,7 @@ def hand_made(kind, **arrays):
         ("points", {"center": np.zeros(3)}, ("points: center", "(3,)", "(k, 3)")),
         ("points", {"center": np.zeros((0, 3))}, ("points", "0", "1 owner")),
         ("points", {"radius": np.array(-1.0)}, ("points", "-1", "0 or more")),
-        ("points", {"radius": np.zeros(1)}, ("points: radius", "(1,)", "()")),
+        ("points", {"radius": np.zeros(1)}, ("points: radius", "(1,)", "one number")),
         ("spheres", {"center": np.zeros((1, 4))}, ("spheres: center", "(1, 4)", "(k, 3)")),
         ("spheres", {"radius": np.array([np.inf])}, ("spheres row 1", "inf", "finite")),
         ("spheres", {"radius": np.array([-0.1])}, ("spheres row 1", "-0.1", "0 or more")),

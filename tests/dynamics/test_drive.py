@@ -92,7 +92,7 @@ def test_a_drive_that_locks_itself():
 FAULTS = [
     (lambda: Friction(coulomb=-0.1), "Friction: coulomb = -0.1; write a finite number >= 0"),
     (lambda: Friction(side="output"), "Friction: side 'output'; allowed: motor, joint"),
-    (lambda: Friction(correction=1.0), r"Friction: correction of shape \(\); allowed: \(2,\)"),
+    (lambda: Friction(correction=1.0), r"Friction: correction has the shape \(\); allowed: \(2,\)"),
     (lambda: Drive(ratio=0.0), "Drive: ratio = 0.0; write a finite number > 0"),
     (lambda: Drive(stiffness=np.nan), "Drive: stiffness = nan; write a finite number > 0, or infinity"),
     (lambda: CROPS.with_drives(CROPS.drives[:2]), "2 drives; crops_v2 has 9 joints"),

@@ -198,13 +198,15 @@ REFUSED = {
     "gravity has the shape (); allowed: (3,)": lambda q: dynamics.gravity_torque(ARM, q, gravity=-9.81),
     "p6r has no bodies; write mass, com": lambda q: jaxik.load("p6r").parameters,
     "wrench_on: no link 'hook'; allowed: world": lambda q: dynamics.wrench_on(ARM, q, "hook", q[:3], q[:3]),
-    "parameters of shape (6,); allowed: (60,)": lambda q: ARM.with_parameters(q),
+    "parameters has the shape (6,); allowed: (60,)": lambda q: ARM.with_parameters(q),
     "p6r has no bodies, which a load": lambda q: jaxik.load("p6r").with_load(1.0),
     "the load has a mass of -2 kg; write a mass >= 0": lambda q: ARM.with_load(-2.0),
-    "com of shape (2,); allowed: (3,)": lambda q: ARM.with_load(2.0, com=(0.1, 0.2)),
+    "com has the shape (2,); allowed: (3,)": lambda q: ARM.with_load(2.0, com=(0.1, 0.2)),
     "5 bodies; ur5 has 6 joints, write one": lambda q: dynamics.mass_matrix(dataclasses.replace(ARM, bodies=ARM.bodies[1:]), q),
-    "armature of shape (2,); allowed: (6,)": lambda q: dynamics.mass_matrix(dataclasses.replace(ARM, armature=np.zeros(2)), q),
-    "inertia of shape (6,); allowed: (3, 3)": lambda q: dynamics.Body(np.ones(()), np.zeros(3), np.zeros(6)),
+    "armature has the shape (2,); allowed: (6,)": lambda q: dynamics.mass_matrix(
+        dataclasses.replace(ARM, armature=np.zeros(2)), q
+    ),
+    "inertia has the shape (6,); allowed: (3, 3)": lambda q: dynamics.Body(np.ones(()), np.zeros(3), np.zeros(6)),
     "'shoulder_pan_joint' moves a mass of 0 kg with": lambda q: ARM.with_parameters(np.eye(60)[1]),
 }
 

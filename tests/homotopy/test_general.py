@@ -118,7 +118,7 @@ def test_derivative_at_a_singular_target():
 
 def test_refused(untyped):
     axes = Axes(*_arms()[0])
-    with pytest.raises(ValueError, match=r"p of shape \(5, 3\); allowed: \(6, 3\)"):
+    with pytest.raises(ValueError, match=r"p has the shape \(5, 3\); allowed: \(6, 3\)"):
         general_arm(axes._replace(p=axes.p[:5]))
     with pytest.raises(ValueError, match="axis 2 is 0 0 0"):
         general_arm(axes._replace(h=axes.h * np.array([1.0, 0, 1, 1, 1, 1])[:, None]))

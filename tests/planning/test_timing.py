@@ -433,7 +433,7 @@ def test_torque_limits_that_are_none():
     robot, path = jaxik.load("crops_v2"), JointPath.polyline(np.eye(9)[:2])
     with pytest.raises(ValueError, match=r"time_path: torque of shape \(3,\) is .*; allowed: one number or \(9,\), above"):
         time_path(path, velocity=1.0, acceleration=1.0, robot=robot, torque=np.ones(3))
-    with pytest.raises(ValueError, match="time_path: gravity of shape \\(\\); allowed: \\(3,\\)"):
+    with pytest.raises(ValueError, match="time_path: gravity has the shape \\(\\); allowed: \\(3,\\)"):
         time_path(path, velocity=1.0, acceleration=1.0, robot=robot, torque=1e3, gravity=-9.81)
     with pytest.raises(ValueError, match="acceleration is infinite"):  # a robot without limits sets none
         time_path(path, velocity=1.0, acceleration=np.inf, robot=robot)

@@ -69,7 +69,7 @@ def test_postures_over_a_grid_are_those_of_the_closed_form(name):
     inside = found.inside
     assert known == set(zip(*(x[inside].tolist() for x in (found.pose, found.slide, found.branch)), strict=True))
     assert all(np.abs(pose(x) - poses[i]).max() < 1e-4 for x, i in zip(found.q, found.pose, strict=True))
-    with pytest.raises(ValueError, match=r"postures_over: poses of shape \(4, 4\); allowed: \(N, 4, 4\)"):
+    with pytest.raises(ValueError, match=r"postures_over: poses has the shape \(4, 4\); allowed: \(N, 4, 4\)"):
         postures_over(robot, poses[0])
 
 

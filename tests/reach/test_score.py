@@ -92,5 +92,5 @@ def test_what_is_no_pose_is_left_out_or_refused():
     at, q = jaxik.reach.likely_postures(ROBOT, AROUND, poses)
     assert np.isfinite(at).all() and np.isfinite(q).all()
     for bad in (poses[1:2], poses[:0], poses[0]):
-        with pytest.raises(ValueError, match=r"no finite frame|poses of shape"):
+        with pytest.raises(ValueError, match=r"no finite frame|poses has the shape"):
             jaxik.reach.likely_postures(ROBOT, AROUND, bad)

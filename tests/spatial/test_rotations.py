@@ -58,9 +58,9 @@ def test_poses_in_words():
     ("told", "words"),
     [
         (([0, 0, 0], {"wxyz": [1, 0, 0, 0], "rpy": [0, 0, 0]}), "one of them"),
-        (([0, 0], {}), r"xyz of shape \(2,\); allowed: \(..., 3\)"),
+        (([0, 0], {}), r"xyz has the shape \(2,\); allowed: \(..., 3\)"),
         (([0, 0, np.nan], {}), "finite"),
-        (([0, 0, 0], {"wxyz": [0, 0, 0]}), r"wxyz of shape \(3,\)"),
+        (([0, 0, 0], {"wxyz": [0, 0, 0]}), r"wxyz has the shape \(3,\)"),
         (([0, 0, 0], {"wxyz": [0, 0, 0, 0]}), "no rotation"),
         (([[0, 0, 0]] * 2, {"rpy": [[0, 0, 0]] * 3}), "write as many of both"),
     ],

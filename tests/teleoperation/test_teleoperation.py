@@ -504,7 +504,7 @@ def test_one_sample_is_operated():
             lambda: simulate_teleoperation(teleoperation(), Q, Hand(np.zeros((5, 3)), age=np.zeros(4))),
             r"age of the hands has the shape \(4,\)",
         ),
-        (lambda: DelayLine(np.array([0.1, 0.2])), r"delay line: delay, jitter of shape \(2,\); allowed: one number"),
+        (lambda: DelayLine(np.array([0.1, 0.2])), r"delay line: delay, jitter has the shape \(2,\); allowed: one number"),
         (lambda: reflect(NINE, MID, None), "contact is None; write a jaxik.dynamics.PointForce"),
         (lambda: reflect_cost(NINE, MID, lambda q: q), "the cost gives float64 of shape"),
         (lambda: Teleoperation(None), "robot is None; write a jaxik.Robot"),

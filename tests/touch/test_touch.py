@@ -107,7 +107,7 @@ LEANS = PointForce(2, np.zeros(3), np.ones(3))
 @pytest.mark.parametrize(
     ("call", "says"),
     [
-        (lambda: SpringContact([0.0, 0.0], NORMAL, 1.0), r"spring contact: point of shape \(2,\)"),
+        (lambda: SpringContact([0.0, 0.0], NORMAL, 1.0), r"spring contact: point has the shape \(2,\)"),
         (lambda: SpringContact([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0), "spring contact: normal is no direction"),
         (lambda: SpringContact([0.0, 0.0, 0.0], NORMAL, -1.0), "stiffness is -1.0; allowed: finite numbers, none below 0"),
         (
@@ -133,9 +133,9 @@ LEANS = PointForce(2, np.zeros(3), np.ones(3))
         (lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, None), "contact is None; write a jaxik.dynamics.PointForce"),
         (lambda: SpringContact(np.zeros(3), NORMAL, 1.0).force(np.zeros(2)), r"the point that meets it has the shape \(2,\)"),
         (lambda: Skin(2, np.zeros((3, 3)), np.ones((3, 3))).contact(ARM, Q, np.zeros(2)), r"pressed has the shape \(2,\)"),
-        (lambda: Skin(2, np.full((1, 3), np.nan), np.ones((1, 3))), "skin: points hold NaN"),
+        (lambda: Skin(2, np.full((1, 3), np.nan), np.ones((1, 3))), "skin: points holds nan"),
         (lambda: Skin(2, np.zeros((0, 3)), np.zeros((0, 3))), "skin: no points"),
-        (lambda: Skin(2, np.zeros((3, 3)), np.zeros((2, 3))), r"skin: normals of shape \(2, 3\)"),
+        (lambda: Skin(2, np.zeros((3, 3)), np.zeros((2, 3))), r"skin: normals has the shape \(2, 3\)"),
         (lambda: Skin(2, np.zeros((1, 3)), np.zeros((1, 3))), "skin: normal 0 is no direction"),
         (lambda: Skin(2, np.zeros((1, 3)), np.ones((1, 3))).contact(ARM, Q, np.ones(4)), r"skin: pressed has the shape \(4,\)"),
     ],
