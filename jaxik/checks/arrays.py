@@ -12,6 +12,7 @@ from jaxik.checks.options import as_count, shown
 
 Array = jax.Array | np.ndarray
 RIGID = 1e-4  # how far R'R may be from 1 in a frame that is still one: rotations in files are rounded
+ROUNDED = 1e-3  # of the largest moment of inertia that may be missing, for the same reason
 
 
 Shape = tuple[Any, ...]  # of lengths; a letter is any length, and `...` in front any leading axes
@@ -160,3 +161,26 @@ def rigid_frame(what: str, given: Any) -> Any:
     if not is_rigid(frame):
         raise ValueError(f"{what} is no rigid frame; allowed: finite, a right-handed rotation, and 0 0 0 1 below")
     return given if isinstance(given, jax.Array) and jnp.issubdtype(given.dtype, jnp.floating) else frame
+
+
+def check_mass(what: str, mass: Any, com: Any, inertia: Any) -> None:
+    """Raises `ValueError` for a mass [kg], a centre of gravity [m] and an inertia about it [kg m2] that no body can have.
+
+    No mass at all and a point mass are bodies, and so is an inertia alone, as files have it of a rotor.
+    """
+    mass, com, inertia = (np.asarray(x, np.float64) for x in (mass, com, inertia))
+    if not all(np.all(np.isfinite(x)) for x in (mass, com, inertia)):
+        raise ValueError(f"{what} holds NaN or infinity; write finite mass, com and inertia")
+    if mass < 0.0:
+        raise ValueError(f"{what} has a mass of {mass:g} kg; write a mass >= 0")
+    dust = 1e-9 * mass
+    if np.abs(inertia - inertia.T).max() > ROUNDED * np.abs(inertia).max() + dust:
+        raise ValueError(f"{what} has an inertia that is not symmetric; write Ixy = Iyx, Ixz = Izx, Iyz = Izy")
+    moments = np.linalg.eigvalsh(inertia)
+    slack = ROUNDED * np.abs(moments).max() + dust
+    written = ", ".join(f"{m:.4g}" for m in moments)
+    if moments[0] < -slack:
+        raise ValueError(f"{what} has principal moments of {written} kg m2; allowed: none below 0")
+    if moments[0] + moments[1] < moments[2] - slack:
+        mend = "the largest is at most the sum of the others; is the inertia about the centre of gravity?"
+        raise ValueError(f"{what} has principal moments of {written} kg m2; {mend}")

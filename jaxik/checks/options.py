@@ -1,11 +1,13 @@
-"""Options that are one word of a few, a number or a count."""
+"""Options that are one word of a few, a number or a count, and modules that an extra of the package installs."""
 
 from __future__ import annotations
 
 import difflib
+import importlib
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any, get_args
 
 import numpy as np
@@ -94,14 +96,11 @@ def no_such(who: str, what: str, name: str, names: Sequence[str]) -> str:
     return f"{who}: no {what} '{shown(name)}'; {among(name, names)}"
 
 
-def check_each(who: str, each: Sequence[str], kinds: Any) -> None:
-    """Raises likewise for a name of `each`, what has one entry a row of a batch, that is none of `kinds`."""
+def batch_axes(who: str, each: Sequence[str], kinds: Any) -> tuple[int | None, ...]:
+    """The axis of a batch in each of `kinds`: the first for those in `each`, or None. Raises likewise for a name in it that is
+    none of `kinds`."""
     for name in each:
         check_choices(who, each=(name, kinds))
-
-
-def batch_axes(each: Sequence[str], kinds: Any) -> tuple[int | None, ...]:
-    """The axis of a batch in each of `kinds`: the first, or none."""
     return tuple(0 if name in each else None for name in get_args(kinds))
 
 
@@ -112,3 +111,13 @@ def as_count(name: str, value: Any, also: str = "", least: int = 1) -> int:
     if given is None or np.asarray(given).dtype.kind not in "iu" or int(given) < least:
         raise ValueError(f"{name} is {shown(value)}; allowed: a count, which is an integer and at least {least}{also}")
     return int(given)
+
+
+def optional(who: str, name: str, extra: str) -> ModuleType:
+    """The module `name`, for `who`. Raises a `ValueError` of one line that names the `extra` where it is not installed."""
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name != name.partition(".")[0]:  # it is there, and lacks something itself
+            raise
+        raise ValueError(f"{who} needs {error.name}, which is not installed; pip install 'jaxik[{extra}]'") from None

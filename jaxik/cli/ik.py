@@ -13,8 +13,7 @@ import numpy as np
 import tyro
 
 import jaxik
-from jaxik.checks.optional_modules import optional
-from jaxik.checks.options import check_seed
+from jaxik.checks.options import check_seed, optional
 from jaxik.cli.flags import flags, given
 from jaxik.cli.interruption import STOPPED, Patience
 from jaxik.cli.progress import progress_bar

@@ -28,8 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import Array, as_numbers, is_known
-from jaxik.checks.masses import check_mass
+from jaxik.checks.arrays import Array, as_numbers, check_mass, is_known
 from jaxik.checks.options import check_kind, no_such
 from jaxik.dynamics.rigid_bodies import Moments, Placed, motions, placed
 from jaxik.kinematics.forward import joint_frames

@@ -18,8 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.arrays import numbers
-from jaxik.checks.optional_modules import optional
-from jaxik.checks.options import check_finite, check_kind, check_seed, no_such, shown
+from jaxik.checks.options import check_finite, check_kind, check_seed, no_such, optional, shown
 from jaxik.dynamics.actuation import friction_torque, motor_current
 from jaxik.dynamics.recursions import GRAVITY, inverse_dynamics, mass_matrix
 from jaxik.kinematics.drive import Drive

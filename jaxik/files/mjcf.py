@@ -19,8 +19,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from jaxik.checks.optional_modules import optional
-from jaxik.checks.options import among
+from jaxik.checks.options import among, optional
 from jaxik.dynamics.recursions import GRAVITY
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, home, resolve

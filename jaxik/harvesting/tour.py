@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxik.checks.optional_modules import optional
+from jaxik.checks.options import optional
 
 EXACT = 10  # groups, up to which a tour is found by dynamic programming over their subsets: a tenth of a second
 PATIENCE = 1000  # iterations of PyVRP's search without a better tour, after which it ends

@@ -18,8 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxik.checks.arrays import Array, as_given, as_numbers, is_known, rigid_frame
-from jaxik.checks.masses import check_mass
+from jaxik.checks.arrays import Array, as_given, as_numbers, check_mass, is_known, rigid_frame
 from jaxik.checks.options import check_kind, shown
 from jaxik.kinematics.drive import Drive, column
 from jaxik.kinematics.link_distance_table import PairTable

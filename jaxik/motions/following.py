@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxik.checks.arrays import is_known, numbers
-from jaxik.checks.options import batch_axes, check_each, check_kind
+from jaxik.checks.options import batch_axes, check_kind
 from jaxik.costs import Cost
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
@@ -134,13 +134,13 @@ def scenario_axes(who: str, robot: Robot, path: Path, duration: Any, q: Any, eac
     """The axes of scenarios in q and in each of `kinds`; None for one scenario. Raises `ValueError`, `who` asking, for another
     robot, path, duration or q, and for a name in `each` that is none of `kinds`."""
     check_kind(who, "robot", robot, Robot)
-    check_each(who, each, kinds)
+    axes = batch_axes(who, each, kinds)
     check_path(who, path, duration, q.shape[:1] if "duration" in each else ())
     n = robot.num_joints
     if q.ndim not in (1, 2) or q.shape[-1] != n or (each and q.ndim == 1):
         allowed = f"({n},), or rows of it, as where `each` names something"
         raise ValueError(f"{who}: q has the shape {q.shape}; {robot.name} takes {allowed}")
-    return None if q.ndim == 1 else (0, *batch_axes(each, kinds))
+    return None if q.ndim == 1 else (0, *axes)
 
 
 def by_scenarios(

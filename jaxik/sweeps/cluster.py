@@ -10,7 +10,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from jaxik.checks.optional_modules import optional
+from jaxik.checks.options import optional
 from jaxik.spmd.batch import compilation_cache
 from jaxik.sweeps.evaluation import Columns, answer
 from jaxik.sweeps.robot_variants import Variant

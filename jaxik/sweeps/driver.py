@@ -19,8 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.checks.optional_modules import optional
-from jaxik.checks.options import shown
+from jaxik.checks.options import optional, shown
 from jaxik.collision.contact_report import warn_of_scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.ik.problem import Poses

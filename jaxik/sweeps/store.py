@@ -21,8 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.checks.optional_modules import optional
-from jaxik.checks.options import shown
+from jaxik.checks.options import optional, shown
 from jaxik.sweeps.evaluation import COLUMNS, GIVEN, REASONS, Column, Columns, given_columns
 from jaxik.sweeps.robot_variants import variant_name
 from jaxik.sweeps.study import Study

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.checks.optional_modules import optional
+from jaxik.checks.options import optional
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.contact_report import Contact, explain
 from jaxik.collision.scene import Scene

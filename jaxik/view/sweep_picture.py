@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.checks.optional_modules import optional
+from jaxik.checks.options import optional
 from jaxik.collision.scene import Scene
 from jaxik.reasons import Reason
 from jaxik.sweeps.robot_variants import variant_name
