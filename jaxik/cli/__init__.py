@@ -16,9 +16,9 @@ from jaxik.cli.dynamics import DynamicsArguments
 from jaxik.cli.fit import FitArguments
 from jaxik.cli.harvest import HarvestArguments
 from jaxik.cli.ik import IKArguments
-from jaxik.cli.interruption import STOPPED, Unsolved, interrupt_surely
 from jaxik.cli.plan import PlanArguments
 from jaxik.cli.sweep import SweepArguments
+from jaxik.cli.terminal import STOPPED, Unsolved, interrupt_surely
 from jaxik.cli.view import ViewArguments
 from jaxik.spmd.batch import compilation_cache
 

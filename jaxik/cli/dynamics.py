@@ -14,8 +14,8 @@ import numpy as np
 import tyro
 
 import jaxik
+from jaxik.cli.arguments import RobotArguments
 from jaxik.cli.results import check_writable, writing
-from jaxik.cli.robot_arguments import RobotArguments
 from jaxik.dynamics.actuation import friction_torque, motor_current
 from jaxik.dynamics.recursions import gravity_torque, inverse_dynamics
 from jaxik.kinematics.motion import Motion
@@ -26,7 +26,6 @@ from jaxik.planning.trajectory_files import check_ending, read_motion
 ROUNDED = 1e-3  # [rad, m] beyond its limits that a joint may be, as files are rounded
 SLOWEST = 1.0  # [s] between samples that are told in seconds
 DRIVEN = ", friction {:8.2f}", ", current {:6.2f} A"  # of drives that are known, and of their motors
-PICTURES = ".png", ".pdf", ".svg"
 
 
 class Demand(NamedTuple):
@@ -64,13 +63,9 @@ class DynamicsArguments(RobotArguments):
 
     def run(self) -> None:
         """Read, compute, write, and print a line a joint."""
-        if self.out.suffix != ".csv":
-            raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: .csv")
-        if self.plot is not None and self.plot.suffix not in PICTURES:
-            raise ValueError(f"--plot {self.plot}: ending '{self.plot.suffix}'; allowed: {', '.join(PICTURES)}")
-        check_writable(self.out)
+        check_writable(self.out, endings=(".csv",))
         if self.plot is not None:
-            check_writable(self.plot, "--plot")
+            check_writable(self.plot, "--plot", (".png", ".pdf", ".svg"))
         if not np.isfinite(self.gravity).all():
             raise ValueError(f"--gravity {' '.join(map(str, self.gravity))}: finite numbers [m/s2]")
         robot = jaxik.load(self.robot, **self.loading())

@@ -10,9 +10,9 @@ from pathlib import Path
 import tyro
 
 import jaxik
-from jaxik.cli.progress import progress_bar
+from jaxik.cli.arguments import Checked, RobotArguments, checked_pairs
 from jaxik.cli.results import check_writable, naming, print_table
-from jaxik.cli.robot_arguments import Checked, RobotArguments, checked_pairs
+from jaxik.cli.terminal import progress_bar
 from jaxik.files.robot_builder import listed
 from jaxik.files.unchecked_pairs import unchecked
 
@@ -47,12 +47,10 @@ class FitArguments(RobotArguments):
 
     def run(self) -> None:
         """Fit with a progress bar, and end with a table of the meshes, and the file."""
-        if self.to is not None and self.to.suffix not in (".toml", ".urdf"):
-            raise ValueError(f"--to {self.to}: ending '{self.to.suffix}'; allowed: .toml, .urdf")
-        if self.exact and (self.to is None or self.to.suffix != ".toml"):
-            raise ValueError("--exact: keeps the meshes in a file; write --to MODEL.toml with it")
         if self.to is not None:
-            check_writable(self.to, "--to")
+            check_writable(self.to, "--to", (".toml", ".urdf"))
+        if self.exact and (self.to is None or self.to.suffix.lower() != ".toml"):
+            raise ValueError("--exact: keeps the meshes in a file; write --to MODEL.toml with it")
         fit = jaxik.FitOptions(accuracy=self.accuracy / 1e3, most=self.most, parts=self.parts)
         what = self.loading() | {"fit": fit, "pairs": checked_pairs(self.pairs)}
         start = time.perf_counter()
@@ -86,7 +84,7 @@ class FitArguments(RobotArguments):
         if self.to is not None:
             with naming(self.to, "--to"):
                 beyond = jaxik.save(robot, self.to)
-            print(f"wrote {self.to}" + (_told(robot, self.to, beyond) if self.to.suffix == ".urdf" else ""))
+            print(f"wrote {self.to}" + (_told(robot, self.to, beyond) if self.to.suffix.lower() == ".urdf" else ""))
 
 
 def _told(robot: jaxik.Robot, to: Path, beyond: float) -> str:

@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 
 import jaxik
-from jaxik.cli.flags import flags, given
-from jaxik.cli.progress import progress_bar
+from jaxik.cli.arguments import ShapedRobotArguments, flags, given
 from jaxik.cli.results import check_writable, naming, print_table, write_csv
-from jaxik.cli.robot_arguments import ShapedRobotArguments
+from jaxik.cli.terminal import progress_bar
 from jaxik.harvesting.driver import HarvestOptions, HarvestResult
 from jaxik.harvesting.harvest_plan import HarvestPlan, HarvestPlanOptions, Leaves, Order, save_harvest
 from jaxik.harvesting.harvest_planner import plan_harvest

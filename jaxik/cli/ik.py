@@ -14,11 +14,9 @@ import tyro
 
 import jaxik
 from jaxik.checks.options import check_seed, optional
-from jaxik.cli.flags import flags, given
-from jaxik.cli.interruption import STOPPED, Patience
-from jaxik.cli.progress import progress_bar
+from jaxik.cli.arguments import SearchArguments, flags, given
 from jaxik.cli.results import check_writable, offenders, write_csv, writing
-from jaxik.cli.robot_arguments import ShapedRobotArguments
+from jaxik.cli.terminal import STOPPED, Patience, progress_bar
 from jaxik.ik.problem import FAULTS
 from jaxik.ik.sqp_programs import solve_errors
 from jaxik.reasons import texts
@@ -46,23 +44,17 @@ FLAGS = flags(
 
 
 @dataclasses.dataclass(kw_only=True)
-class IKArguments(FLAGS, ShapedRobotArguments):
+class IKArguments(FLAGS, SearchArguments):
     """A configuration for every target of a file, or the reason why there is none."""
 
-    robot: tyro.conf.Positional[str]
-    """A shipped model or a robot file (.urdf, .xml, .toml)."""
     targets: tyro.conf.Positional[Path]
     """Targets in the robot's base: .csv (x, y, z, qw, qx, qy, qz), .npz (poses, or positions and wxyz) or .json."""
-    scene: str | None = None
-    """A shipped scene or a scene file: obstacles to keep clear of; without one, the robot keeps clear of itself."""
     collision: bool = True
     """Keep clear of the scene and of the robot itself; --no-collision asks for kinematics alone."""
     free: tuple[Literal["x", "y", "z", "roll", "pitch", "yaw"], ...] = ()
     """Components that a target leaves free."""
     axes: Literal["tool", "base"] = "tool"
     """Along and about whose axes they are counted: the target's own ("tool"), or the base's."""
-    seed: int = 0
-    """Another number, another (deterministic) search."""
     out: Path = Path("ik.npz")
     """The results, joints in rad and m: .npz, .csv, or .parquet (needs pyarrow)."""
 
@@ -70,11 +62,9 @@ class IKArguments(FLAGS, ShapedRobotArguments):
         """Load, solve with a progress bar, write, and end with one line a reason and one of counts and times."""
         from rich.console import Console
 
-        if self.out.suffix not in (".npz", ".csv", ".parquet"):
-            raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: .npz, .csv, .parquet")
-        if self.out.suffix == ".parquet":
+        check_writable(self.out, endings=(".npz", ".csv", ".parquet"))
+        if self.out.suffix.lower() == ".parquet":
             optional("--out: .parquet", "pyarrow", "parquet")  # before the work, not after
-        check_writable(self.out)
         check_seed("solve_ik", self.seed)
         robot = jaxik.load(self.robot, **self.loading())
         scene = None if self.scene is None else jaxik.load_scene(self.scene)
@@ -123,10 +113,10 @@ class IKArguments(FLAGS, ShapedRobotArguments):
 def write_ik(robot: jaxik.Robot, result: jaxik.ik.IKResult, out: Path, table: dict[str, np.ndarray]) -> None:
     """The results of a batch: arrays (.npz, no pickle), one row a target, or a table (.csv, .parquet), one row an answer."""
     names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations", "solutions", "num_solutions")
-    if out.suffix == ".npz":
+    if out.suffix.lower() == ".npz":
         columns = {"reason": texts(result.reason), **{name: getattr(result, name) for name in names}}
         np.savez(out, allow_pickle=False, joint_names=np.array(robot.joint_names), q=result.q, **columns)
-    elif out.suffix == ".parquet":
+    elif out.suffix.lower() == ".parquet":
         import pyarrow.parquet
 
         pyarrow.parquet.write_table(pyarrow.table(table), out)

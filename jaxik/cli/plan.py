@@ -7,13 +7,11 @@ import time
 from pathlib import Path
 
 import numpy as np
-import tyro
 
 import jaxik
-from jaxik.cli.flags import flags, given
-from jaxik.cli.interruption import Unsolved
+from jaxik.cli.arguments import SearchArguments, flags, given
 from jaxik.cli.results import check_writable, writing
-from jaxik.cli.robot_arguments import ShapedRobotArguments
+from jaxik.cli.terminal import Unsolved
 from jaxik.planning import PlanOptions, PlanResult
 from jaxik.planning.trajectory_files import ENDINGS
 from jaxik.reasons import Reason
@@ -22,33 +20,25 @@ FLAGS = flags(PlanOptions, margin=float, velocity=float | None, acceleration=flo
 
 
 @dataclasses.dataclass(kw_only=True)
-class PlanArguments(FLAGS, ShapedRobotArguments):
+class PlanArguments(FLAGS, SearchArguments):
     """A motion from one configuration to another, proven free of collision, timed within the joints' limits."""
 
-    robot: tyro.conf.Positional[str]
-    """A shipped model or a robot file (.urdf, .xml, .toml)."""
     start: tuple[float, ...]
     """The joints' values at the start [rad, m]."""
     goal: tuple[float, ...]
     """Those at the goal."""
-    scene: str | None = None
-    """A shipped scene or a scene file: obstacles to keep clear of; without one, the robot keeps clear of itself."""
     without: tuple[str, ...] = ()
     """Objects of the scene that are no obstacle, such as the fruit that is grasped."""
     dt: float = 0.01
     """Between samples of the file [s]."""
-    seed: int = 0
-    """Another number, another (deterministic) search."""
     out: Path = Path("motion.csv")
     """The motion: .csv, .npz, or .json with the fields of ROS' JointTrajectory."""
 
     def run(self) -> None:
         """Load, plan, write, and end with one line. Raises `Unsolved` where there is no motion, with the reason."""
-        if self.out.suffix.lower() not in ENDINGS:
-            raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: {', '.join(ENDINGS)}")
         if not 0.0 < self.dt < np.inf:
             raise ValueError(f"--dt {self.dt:g}: it is above zero [s]")
-        check_writable(self.out)
+        check_writable(self.out, endings=ENDINGS)
         if self.without and self.scene is None:
             raise ValueError(f"--without {' '.join(self.without)}: there is no scene to leave it out of; give --scene")
         robot = jaxik.load(self.robot, **self.loading())

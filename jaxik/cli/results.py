@@ -49,8 +49,11 @@ def writing(path: Path, flag: str = "--out") -> Iterator[tuple[Path, str]]:
             aside.replace(path)
 
 
-def check_writable(path: Path, flag: str = "--out", folder: bool = False) -> None:
-    """Raises an error before the work where a file, or a folder, cannot be made after it."""
+def check_writable(path: Path, flag: str = "--out", endings: Sequence[str] = (), folder: bool = False) -> None:
+    """Raises an error before the work where a file of one of the `endings`, in capitals or not, or a folder, cannot be made
+    after it."""
+    if endings and path.suffix.lower() not in endings:
+        raise ValueError(f"{flag} {path}: ending '{path.suffix}'; allowed: {', '.join(endings)}")
     if path.exists() and path.is_dir() != folder:
         is_a, name_a = ("file", "folder") if folder else ("folder", "file")
         raise ValueError(f"{flag} {path}: is a {is_a}; name a {name_a}")

@@ -10,10 +10,9 @@ from pathlib import Path
 import tyro
 
 import jaxik
-from jaxik.cli.interruption import STOPPED, Patience
-from jaxik.cli.progress import progress_bar
+from jaxik.cli.arguments import Ignored, ignored_pairs
 from jaxik.cli.results import LOOKED, naming, offenders
-from jaxik.cli.robot_arguments import Ignored, ignored_pairs
+from jaxik.cli.terminal import STOPPED, Patience, progress_bar
 
 
 @dataclasses.dataclass

@@ -8,7 +8,7 @@ from pathlib import Path
 import tyro
 
 import jaxik
-from jaxik.cli.robot_arguments import ShapedRobotArguments
+from jaxik.cli.arguments import ShapedRobotArguments
 from jaxik.files import link_meshes
 from jaxik.harvesting import plan_harvest
 

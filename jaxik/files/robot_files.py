@@ -40,9 +40,9 @@ def save(robot: Robot, path: str | Path, *, beyond: float = 0.005) -> float:
     check_kind("save", "robot", robot, Robot)
     check_finite("save", 1e-4, beyond=beyond)
     path = Path(path)
-    if path.suffix not in (".toml", ".urdf"):
+    if path.suffix.lower() not in (".toml", ".urdf"):
         raise ValueError(f"save: {path}: ending '{path.suffix}'; allowed: .toml, .urdf")
-    if path.suffix == ".toml":
+    if path.suffix.lower() == ".toml":
         write_text("save", path, _toml(robot))
         return 0.0
     pairs = path.with_suffix(".srdf")

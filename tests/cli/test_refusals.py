@@ -9,8 +9,8 @@ import pytest
 
 import jaxik
 from jaxik import cli
-from jaxik.cli.progress import progress_bar
 from jaxik.cli.results import check_writable, naming, writing
+from jaxik.cli.terminal import progress_bar
 
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 SHUT = "/proc"  # where nobody can make a file, root neither
@@ -88,7 +88,9 @@ def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path):
         naming("u.png", "--plot"),
     ):
         raise FULL
-    check_writable(tmp_path / "new" / "deep" / "a.csv")
+    check_writable(tmp_path / "new" / "deep" / "a.CSV", endings=(".npz", ".csv"))
+    with pytest.raises(ValueError, match=r"^--out .*a.txt: ending .\.txt.; allowed: \.npz, \.csv$"):
+        check_writable(tmp_path / "a.txt", endings=(".npz", ".csv"))
     assert [p.name for p in tmp_path.iterdir()] == ["m.csv"]
 
 

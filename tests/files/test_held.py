@@ -14,7 +14,7 @@ from robot_files import refused, write
 from robots import FOLDER
 
 import jaxik
-from jaxik.cli.robot_arguments import read_posture
+from jaxik.cli.arguments import read_posture
 from jaxik.kinematics import link_frames
 
 DEEP = 0.003  # [m] that a model may be off

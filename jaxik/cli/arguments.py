@@ -1,4 +1,5 @@
-"""Arguments that choose a robot: which chain of its file, where the joints beside it are held, what is not checked."""
+"""Arguments of commands: flags from the declarations of options, whose defaults, units and words stand there alone; and those
+that choose a robot: which chain of its file, where the joints beside it are held, what is not checked."""
 
 from __future__ import annotations
 
@@ -9,6 +10,8 @@ from typing import Annotated, Any
 
 import tyro
 
+from jaxik.options import Options, fields
+
 IGNORED = "What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail)."
 Ignored = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[LINK|LINK:OTHER]...", help=IGNORED)]
 
@@ -16,10 +19,29 @@ CHECKED = "Links that are checked against each other in any case (forearm:hand),
 Checked = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[LINK:LINK|all]...", help=CHECKED)]
 
 
+def flags(options: type[Options], words: dict[str, str] | None = None, **kinds: Any) -> Any:
+    """A base of a command's arguments with those fields of `options` that `kinds` names, each of the type that it gives: a
+    shell knows no objects. Where that is less than the field takes, `words` tell of it. `given` gathers them again."""
+    usual, made = options(), []
+    for name, kind in kinds.items():
+        field = fields(options)[name]
+        told = (words or {}).get(name, field.words)
+        line = f"{told[0].upper()}{told[1:]}{f' [{field.unit}]' if field.unit else ''}."
+        made.append((name, Annotated[kind, tyro.conf.arg(help=line)], dataclasses.field(default=getattr(usual, name))))
+    return dataclasses.make_dataclass(f"{options.__name__}Flags", made, kw_only=True)
+
+
+def given(arguments: Any, options: type[Options]) -> dict[str, Any]:
+    """The fields of `options` that a command has as flags, by name."""
+    return {name: getattr(arguments, name) for name in fields(options) if hasattr(arguments, name)}
+
+
 @dataclasses.dataclass(kw_only=True)
 class RobotArguments:
     """The chain of a robot's file, where the joints beside it are held, and what is not checked."""
 
+    robot: tyro.conf.Positional[str]
+    """A shipped model or a robot file (.urdf, .xml, .toml)."""
     tip: str | None = None
     """The link at the tip, which goes to the targets; needed where the robot has several."""
     base: str | None = None
@@ -51,6 +73,16 @@ class ShapedRobotArguments(RobotArguments):
     def loading(self) -> dict[str, Any]:
         """The arguments of `jaxik.load` among these."""
         return super().loading() | {"meshes": self.meshes, "pairs": checked_pairs(self.pairs), "exact": self.exact}
+
+
+@dataclasses.dataclass(kw_only=True)
+class SearchArguments(ShapedRobotArguments):
+    """A robot that keeps clear of what is around it, by a search."""
+
+    scene: str | None = None
+    """A shipped scene or a scene file: obstacles to keep clear of; without one, the robot keeps clear of itself."""
+    seed: int = 0
+    """Another number, another (deterministic) search."""
 
 
 def read_posture(words: Sequence[str]) -> dict[str, float] | None:

@@ -1,11 +1,17 @@
-"""Ctrl-C: once to end when what is at hand is done, or at once where there is nothing to wait for; never with a traceback."""
+"""The bar that a command shows on stderr while it works; and Ctrl-C: once to end when what is at hand is done, or at once where
+there is nothing to wait for; never with a traceback."""
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import threading
+from collections.abc import Iterator
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 STOPPED = 130  # what a shell expects of a command that Ctrl-C ended
 AGAIN = 0.02  # [s]
@@ -49,3 +55,20 @@ def interrupt_surely() -> None:
     if threading.current_thread() is threading.main_thread() and hasattr(signal, "SIGALRM"):  # else nobody may say so
         signal.signal(signal.SIGINT, raised)
         signal.signal(signal.SIGALRM, raised)
+
+
+@contextlib.contextmanager
+def progress_bar(*columns: Any, console: Any = None) -> Iterator[Progress]:
+    """A bar; it goes again where what was asked is refused before any of it is done."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    bar = Progress(*columns, console=console or Console(stderr=True))
+    bar.start()
+    try:
+        yield bar
+    except (ValueError, OSError):
+        bar.live.transient = not any(task.completed for task in bar.tasks)
+        raise
+    finally:
+        (bar.live if bar.live.transient else bar).stop()  # the bar's own prints an empty line into a file
