@@ -134,8 +134,8 @@ def settle(
 
 
 def _judged(problem: Problem, state: Any, low: Sequence[Any], high: Sequence[Any], options: Options) -> Any:
-    """Makes one step, taken or refused by the merit, of a state: x, the `Model` there, the restraint, of which so many metrics are
-    added to B, and the lower triangle of B."""
+    """Makes one step, taken or refused by the merit, of a state: x, the `Model` there, the restraint, of which so many metrics
+    are added to B, and the lower triangle of B."""
     x, model, restraint, learned = state
     moved, p, weight = _step(problem, model, x, low, high, options, restraint, learned)
     there = _arrays(problem.model(moved), x[0].dtype)

@@ -24,8 +24,7 @@ from jaxik.kinematics.task import POSE, POSITION, Task
 from jaxik.optimise import programme, splines
 from jaxik.optimise.programme import FAR, Rows
 from jaxik.options import Options, anything, choice, count, flag, instance, number, per_joint
-from jaxik.planning.limits import limit_of, usual
-from jaxik.planning.torque_limits import Drives, drives
+from jaxik.planning.limits import Drives, drives, limit_of, usual
 from jaxik.spatial.algebra import Frame, stack, traced
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
