@@ -88,7 +88,7 @@ def motion_limits(
     limits = Limits(*(limit_of(who, name, x, shape) for name, x in zip(Limits._fields, given, strict=True)))
     if not (driven or np.isfinite(limits.acceleration).all()):
         cause = f", as {robot.name} has no limits of velocity" if robot and velocity is None and acceleration is None else ""
-        raise ValueError(f"{who}: acceleration is infinite{cause}; give finite numbers {UNITS['acceleration']}")
+        raise ValueError(f"{who}: acceleration is infinite{cause}; give finite numbers, acceleration= {UNITS['acceleration']}")
     return limits
 
 
