@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -61,80 +62,30 @@ def diagnose(robot: Robot, task: Task, course: Course, tolerance: float, keep: b
     (LIMITS) or damping acted (SINGULAR), or else for no reason but that its loop is not closed well, or that it begins
     elsewhere (NOT_CONVERGED). A path without length is STILL.
     """
-    count = len(course.q)
-    columns = [jnp.broadcast_to(x, (count, *jnp.shape(x)[1:])) for x in map(jnp.asarray, course)]
-    return _diagnosed(robot, task, float(tolerance), bool(keep), *columns)
-
-
-class _Known(NamedTuple):
-    """The knowledge of a motion up to a sample: whether it failed, at which sample and why; whether damping and limits acted
-    since the tip was last where it should be; whether it was late then, whether the path is beyond reach since, whether it
-    moves, and whether it began late."""
-
-    number: Any
-    failed: Any
-    sample: Any
-    reason: Any
-    damped: Any
-    held: Any
-    late: Any
-    beyond: Any
-    moves: Any
-    off: Any
+    index = jnp.arange(len(course.q))
+    q, qdot, error, damping, pose, held, costs = (jnp.broadcast_to(x, (len(index), *jnp.shape(x)[1:])) for x in course)
+    moment = functools.partial(_moment, robot, task, float(tolerance), bool(keep), pose[0])
+    lost, outside, late, well, beyond, moved = jax.vmap(moment)(q, qdot, error, pose, costs)
+    fails = lost | outside | late
+    first, moves = jnp.argmax(fails), jnp.any(moved)
+    begins = jnp.max(jnp.where(well & ~fails & (index < first), index, 0))  # where the tip was last where it should be
+    acted = lambda each: jnp.any(each & (begins <= index) & (index <= first))
+    reason = jnp.where(acted(damping > 0.0), int(Reason.SINGULAR), int(Reason.NOT_CONVERGED))
+    reason = jnp.where(acted(held) | outside[first], int(Reason.LIMITS), reason)
+    reason = jnp.where(late[0], int(Reason.NOT_CONVERGED), reason)
+    reason = jnp.where(lost[first], int(Reason.INVALID), reason)
+    stretched = late[first] & jnp.any(beyond & (index >= first))  # an arm is stretched there, and late already before
+    reason = jnp.where(stretched, int(Reason.OUT_OF_REACH), reason)
+    well_done = jnp.where(moves, int(Reason.SOLVED), int(Reason.STILL))
+    failed, reached = jnp.any(fails), jnp.where(moves, len(index), 0)
+    return jnp.where(failed, reason, well_done), jnp.where(failed, first, reached)
 
 
 @kernel(models=4)
-def _diagnosed(
-    robot: Robot,
-    task: Task,
-    tolerance: float,
-    keep: bool,
-    q: Any,
-    qdot: Any,
-    error: Any,
-    damping: Any,
-    pose: Any,
-    held: Any,
-    costs: Any,
-) -> tuple[Any, Any]:
-    def turn(known: _Known, row: Any) -> tuple[_Known, None]:
-        now = Course(*row)
-        lost, outside, late, well, beyond, moved = _moment(robot, task, tolerance, keep, now, pose[0])
-        fails = lost | outside | late
-        first, open_, behind = fails & ~known.failed, ~known.failed, ~(well & ~fails)
-        damped = jnp.where(open_, (known.damped & behind) | (now.damping > 0.0), known.damped)
-        limited = jnp.where(open_, (known.held & behind) | now.held, known.held)
-        off = known.off | (late & (known.number == 0))
-        reason = jnp.where(damped, int(Reason.SINGULAR), int(Reason.NOT_CONVERGED))
-        reason = jnp.where(limited | outside, int(Reason.LIMITS), reason)
-        reason = jnp.where(off, int(Reason.NOT_CONVERGED), reason)
-        reason = jnp.where(lost, int(Reason.INVALID), reason)
-        failed = known.failed | fails
-        return _Known(
-            known.number + 1,
-            failed,
-            jnp.where(first, known.number, known.sample),
-            jnp.where(first, reason, known.reason),
-            damped,
-            limited,
-            jnp.where(first, late, known.late),
-            known.beyond | (beyond & failed),  # an arm is stretched there, and late already before
-            known.moves | moved,
-            off,
-        ), None
-
-    none, zero = jnp.zeros((), bool), jnp.zeros((), int)
-    start = _Known(zero, none, zero, zero, none, none, none, none, none, none)
-    end, _ = jax.lax.scan(turn, start, Course(q, qdot, error, damping, pose, held, costs))
-    failed = jnp.where(end.beyond & end.late, int(Reason.OUT_OF_REACH), end.reason)
-    well_done = jnp.where(end.moves, int(Reason.SOLVED), int(Reason.STILL))
-    reached = jnp.where(end.moves, len(q), 0)
-    return jnp.where(end.failed, failed, well_done), jnp.where(end.failed, end.sample, reached)
-
-
-def _moment(robot: Robot, task: Task, tolerance: float, keep: bool, now: Course, first: Any) -> tuple[Any, ...]:
+def _moment(
+    robot: Robot, task: Task, tolerance: float, keep: bool, first: Any, q: Any, qdot: Any, error: Any, pose: Any, costs: Any
+) -> tuple[Any, ...]:
     """Whether a sample is lost, outside of the limits, late, well, beyond reach, and has moved from the `first` pose."""
-    q, qdot, error, _, pose, _, costs = now
     finite = [jnp.all(jnp.isfinite(x)) for x in (q, qdot, error, pose, costs)]
     lost = ~jnp.all(jnp.stack(finite))
     lower, upper, fastest = (jnp.asarray(bound, q.dtype) for bound in (robot.lower, robot.upper, robot.velocity))

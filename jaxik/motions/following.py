@@ -23,10 +23,11 @@ from jaxik.costs import Cost
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
 from jaxik.motions.diagnosis import Course, MotionResult, diagnose
-from jaxik.motions.nullspace import Box, LoopOptions, RateLimits, Resolved, loop_gain, resolve
+from jaxik.motions.nullspace import Box, LoopOptions, RateLimits, Resolved, downhill, loop_gain
 from jaxik.motions.path import Path, TipMotion, check_path
 from jaxik.optimise import ocp
 from jaxik.options import choice, flag, number, per_joint
+from jaxik.pytree import static
 from jaxik.reasons import Reason
 from jaxik.spmd import kernel
 from jaxik.spmd.batch import cores, in_blocks
@@ -78,11 +79,12 @@ class FollowResult(MotionResult):
     reason: Int[np.ndarray, "*b"]
     sample: Int[np.ndarray, "*b"]
     total: Float[np.ndarray, "*b k"] | None = None
+    joint_names: tuple[str, ...] = static(default=())
 
     @property
     def motion(self) -> Motion:
         """The joints over time."""
-        return Motion(self.q, self.velocity, time=self.time)
+        return Motion(self.q, self.velocity, time=self.time, joint_names=self.joint_names)
 
 
 def follow(
@@ -118,7 +120,7 @@ def follow(
     program = _program(robot, cost, options, count, axes)
     found = by_scenarios(program, axes, (jnp.asarray(q), path, duration), progress)
     time = np.broadcast_to(options.dt * np.arange(count), (*q.shape[:-1], count))
-    moved = FollowResult(time, *map(np.asarray, found))
+    moved = FollowResult(time, *map(np.asarray, found), joint_names=robot.joint_names)
     off = np.max(np.abs(moved.error[..., 0, :]), initial=0.0)
     if off > options.tolerance:
         warnings.warn(f"follow: the path begins {off:.2g} m or rad from the tip at q; begin it there", stacklevel=2)
@@ -198,21 +200,20 @@ def _moved(
 ) -> tuple[Any, Resolved, Any]:
     """The state a sample later; how it was resolved at its start; and whether a limit held a joint back."""
     dt = how.dt
-    options: dict[str, Any] = {"task": how.task, "weights": how.weights, "floor": how.floor, "alpha": how.alpha}
     low, high = limits.rates(q, qdot, dt)
     boxed = how.limits or how.acceleration is not None
     if how.scheme == "rac":
-        slow = loop_gain(how.gain, dt, 0.5)
-        box = limits.accelerations(q, qdot, dt) if boxed else None
-        options |= {"qdot": qdot, "damping": how.damping, "gain": 0.5 * slow}
-        found = resolve(robot, q, ocp.sample(stages, 0), cost=cost, box=box, **options)
+        box, gain = limits.accelerations(q, qdot, dt) if boxed else None, 0.5 * loop_gain(how.gain, dt, 0.5)
+        u = downhill(robot, q, cost, how.alpha, how.weights) - how.damping * qdot
+        found = how.resolved(robot, q, ocp.sample(stages, 0), u, gain=gain, box=box, qdot=qdot)
         rate = qdot + dt * found.rate
         after = q + 0.5 * dt * (qdot + rate)
     else:
-        down, box = cost if how.scheme == "asc" else None, Box(low, high) if boxed else None
+        box, gain = Box(low, high) if boxed else None, loop_gain(how.gain, dt)
 
-        def field(q: Any, _: Any, asked: TipMotion) -> tuple[Any, Resolved]:
-            found = resolve(robot, q, asked, cost=down, gain=loop_gain(how.gain, dt), box=box, **options)
+        def field(q: Any, _: Any, asked: TipMotion) -> tuple[Any, Resolved]:  # with rmrc there is no cost
+            u = downhill(robot, q, cost, how.alpha, how.weights)
+            found = how.resolved(robot, q, asked, u, gain=gain, box=box)
             return found.rate, found
 
         after, _, found = ocp.integrator(how.integrator, field, dt)(q, None, stages)

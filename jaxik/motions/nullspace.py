@@ -72,6 +72,12 @@ class LoopOptions(Options):
         if not settles(self.gain, dt):
             raise ValueError(f"{self.who}: dt {dt}, gain {self.gain}; allowed: 0 <= gain dt < 2")
 
+    def resolved(
+        self, robot: Robot, q: Any, motion: TipMotion, u: Any, *, gain: Any, box: Box | None = None, qdot: Any = None
+    ) -> Resolved:
+        """`resolve` with these options, as a part of a kernel."""
+        return _resolved(robot, self.task, self.floor, q, motion, u, gain, self.weights, box, qdot)
+
 
 class Box(NamedTuple):
     """Bounds (n,) of the joints' rates, or accelerations."""
@@ -119,27 +125,17 @@ def resolve(
     if u is None:
         u = downhill(robot, q, cost, alpha, weights)
         u = u if qdot is None else u - damping * as_configuration(robot, qdot)
-    return _resolved(robot, task, floor, q, motion, u, gain, weights, box, qdot)
+    return _compiled(robot, task, floor, q, motion, u, gain, weights, box, qdot)
 
 
-def resolved(
-    robot: Robot,
-    task: Task,
-    floor: float,
-    q: Any,
-    motion: TipMotion,
-    u: Any,
-    gain: Any,
-    weights: Any,
-    box: Box | None = None,
-    qdot: Any = None,
+def _resolved(
+    robot: Robot, task: Task, floor: float, q: Any, motion: TipMotion, u: Any, gain: Any, weights: Any, box: Any, qdot: Any
 ) -> Resolved:
-    """`resolve`, inside a kernel of its own that is differentiated."""
     at = TaskAt(robot, q, motion, task, weights, floor)
     return at.resolved(at.velocity(gain) if qdot is None else at.acceleration(qdot, gain), u, box)
 
 
-_resolved = kernel(models=3)(resolved)
+_compiled = kernel(models=3)(_resolved)
 
 
 def downhill(robot: Robot, q: Any, cost: Cost | None, alpha: Any, weights: Any = None) -> Any:

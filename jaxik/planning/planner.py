@@ -166,7 +166,7 @@ def _planned(
             reason[i] = int(Reason.NOT_CONVERGED if ways[i] is None else Reason.SOLVED)
         if progress is not None:
             progress(*((total, total) if asked.single else (i + 1, len(starts))))
-    timed = iter(_timed([_rounded(space, way) for way in ways if way is not None], limits, options.places))
+    timed = iter(_timed(robot, [_rounded(space, way) for way in ways if way is not None], limits, options.places))
     trajectories = tuple(None if way is None else next(timed) for way in ways)
     return PlanResult(reason, tuple(where), tuple(ways), trajectories, rounds, checked)
 
@@ -200,14 +200,14 @@ def _rounded(space: CollisionChecker, waypoints: np.ndarray) -> JointPath:
     return padded(path, 2 ** max(2, int(np.ceil(np.log2(len(path.lengths))))))
 
 
-def _timed(paths: list[JointPath], limits: Limits, places: int) -> list[Trajectory]:
+def _timed(robot: Robot, paths: list[JointPath], limits: Limits, places: int) -> list[Trajectory]:
     """Times the paths, those of as many pieces together."""
     timed: dict[int, Trajectory] = {}
     pieces = np.array([len(path.lengths) for path in paths], int)
     for size in np.unique(pieces):
         rows = np.flatnonzero(pieces == size)
         stack = jax.tree_util.tree_map(lambda *x: np.stack(x), *(paths[i] for i in rows))
-        together = time_path(stack, velocity=limits.velocity, acceleration=limits.acceleration, places=places)
+        together = time_path(stack, **limits._asdict(), places=places, robot=robot)
         for k, i in enumerate(rows.tolist()):
             timed[i] = jax.tree_util.tree_map(lambda x, k=k: x[k], together)
     return [timed[i] for i in range(len(paths))]

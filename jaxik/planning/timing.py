@@ -16,6 +16,7 @@ These profiles give a `Trajectory` with polynomials of time itself, which stands
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from typing import Any, Literal
@@ -104,6 +105,7 @@ def time_path(
         found = _fastest_along(given if isinstance(path, JointPath) else straight(given), limits, drives, places, single)
     else:
         found = _profiled(profile, given, limits, jerk, duration, single)
+    found = found if robot is None else dataclasses.replace(found, joint_names=robot.joint_names)
     return jax.tree_util.tree_map(lambda x: x[0], found) if single else found
 
 

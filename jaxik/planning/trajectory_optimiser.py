@@ -167,11 +167,11 @@ def _packed(search: Search, kept: list[Solved]) -> TrajectoryResult:
     duration = np.full(count, terms.duration) if options.duration is not None else search.judge.shortest(points, spans)
     weak = np.isnan(duration) & ~np.isnan(cost)  # the drives cannot hold the arm on the way
     reason[weak], points[weak] = int(Reason.LIMITS), np.nan
-    trajectory = _timed(points, degree, duration)
+    trajectory = _timed(points, degree, duration, search.robot.joint_names)
     return TrajectoryResult(reason, tuple(search.where), trajectory, cost, parts, iterations, converged, multipliers, pressure)
 
 
-def _timed(points: np.ndarray, degree: int, duration: np.ndarray) -> Trajectory:
+def _timed(points: np.ndarray, degree: int, duration: np.ndarray, names: tuple[str, ...]) -> Trajectory:
     """The trajectories of motions (b, M, n), each over its whole duration (b,), which may be 0 for one that stands still."""
     spans = points.shape[1] - degree
     span = (duration / spans)[:, None]
@@ -179,7 +179,8 @@ def _timed(points: np.ndarray, degree: int, duration: np.ndarray) -> Trajectory:
         powers = np.where(span == 0.0, [0.0, 0.0, 0.0, 1.0], span ** np.array([-3.0, -2.0, -1.0, 0.0]))
     curve = splines.pieces(points, degree, 1.0) * powers[:, None, :, None]
     time = span * np.arange(spans + 1)
-    return Trajectory(JointPath(np.broadcast_to(span, (len(points), spans)), curve), time, time, np.ones_like(time))
+    path = JointPath(np.broadcast_to(span, (len(points), spans)), curve)
+    return Trajectory(path, time, time, np.ones_like(time), names)
 
 
 def trajectory_cost(
