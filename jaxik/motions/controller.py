@@ -24,8 +24,7 @@ from jaxik.checks.arrays import Array, as_shaped
 from jaxik.checks.options import as_count, check_finite, check_kind
 from jaxik.costs import RunningCost
 from jaxik.kinematics.robot import Robot
-from jaxik.motions.diagnosis import Course, diagnose
-from jaxik.motions.following import FollowResult, Progress, samples
+from jaxik.motions.following import Course, FollowResult, Progress, diagnose, samples
 from jaxik.motions.path import Path, check_path
 from jaxik.motions.predictive import PredictOptions, future, objective, problem
 from jaxik.optimise import descent, ocp

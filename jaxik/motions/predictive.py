@@ -32,8 +32,7 @@ from jaxik.checks.arrays import Array, as_numbers, check_known, shaped
 from jaxik.checks.options import as_count, check_finite, check_seed
 from jaxik.costs import RunningCost
 from jaxik.kinematics.robot import Robot
-from jaxik.motions.diagnosis import Course, MotionResult, diagnose
-from jaxik.motions.following import Axes, Progress, by_scenarios, scenario_axes
+from jaxik.motions.following import Axes, Course, MotionResult, Progress, by_scenarios, diagnose, scenario_axes
 from jaxik.motions.nullspace import LoopOptions, Resolved, loop_gain
 from jaxik.motions.path import Path, TipMotion
 from jaxik.optimise import descent, ocp

@@ -201,11 +201,6 @@ def _before(squares: np.ndarray) -> np.ndarray:
     return np.pad(squares, ((0, 0), (1, 0)))[:, :-1]
 
 
-def can_hold(given: Forces, torque: np.ndarray) -> np.ndarray:
-    """Whether the drives hold the arm at rest all along (N,)."""
-    return (np.abs(given.still) < torque).all(axis=(1, 2, 3))
-
-
 def weakest(limits: Drives, given: Forces, parts: int) -> str:
     """Says where on the first way, whose pieces have so many parts, the drives are farthest from holding the arm."""
     still = np.abs(given.still[0])

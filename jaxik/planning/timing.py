@@ -191,7 +191,7 @@ def _driven(limits: Drives, curve: np.ndarray, lengths: np.ndarray, others: Any,
             break
         at = drive_limits.between(at, squares) if powered and not settled and 2 * turn < turns else squares
     squares = squares * drive_limits.slowdown(forces, limits, squares, step)[:, None] ** 2
-    squares[~drive_limits.can_hold(forces, limits.torque)] = np.nan
+    squares[~(np.abs(forces.still) < limits.torque).all(axis=(1, 2, 3))] = np.nan  # it cannot stand still
     return squares
 
 
