@@ -148,8 +148,8 @@ def downhill(robot: Robot, q: Any, cost: Cost | None, alpha: Any, weights: Any =
 
 
 def inverse_weights(robot: Robot, weights: Any, dtype: Any) -> jax.Array:
-    """The diagonal of W^-1 (n,) of `weights` (n,), 1 each if they are None. Raises `ValueError` for another shape, and for those
-    that are known and not above zero."""
+    """The diagonal of W^-1 (n,) of `weights` (n,), 1 each if they are None. Raises `ValueError` for another shape, and for
+    those that are known and not above zero."""
     if weights is None:
         return jnp.ones(robot.num_joints, dtype)
     given = as_shaped(f"weights of the joints of {robot.name}", weights, (robot.num_joints,))

@@ -14,7 +14,7 @@ from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
 from jaxik.ik import IKOptions, solve_ik
 from jaxik.ik.sqp_programs import solve_errors
-from jaxik.kinematics.joint_turns import TURN, nearest_turns
+from jaxik.kinematics.joint_turns import TURN, endless, nearest_turns
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
 from jaxik.options import Options, count, instance, number, per_joint
@@ -253,9 +253,8 @@ def ends(who: str, robot: Robot, start: Any, goal: Any) -> Ends:
 
 def turned(robot: Robot, starts: np.ndarray, goals: np.ndarray) -> np.ndarray:
     """Goals (b, g, n) with the joints without limits turned to be nearest to the start (b, n)."""
-    endless = np.isinf(robot.lower) & np.isinf(robot.upper)
     with np.errstate(invalid="ignore"):  # of what is no number
-        return np.where(endless, nearest_turns(robot, goals, starts[:, None], robot.lower, robot.upper), goals)
+        return np.where(endless(robot), nearest_turns(robot, goals, starts[:, None], robot.lower, robot.upper), goals)
 
 
 def postures(

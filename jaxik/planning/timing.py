@@ -64,7 +64,7 @@ def time_path(
     """The motion along a `JointPath`, or through waypoints (k, n) [rad, m], k >= 2, from rest to rest. Host driver.
 
     profile: "fastest" takes the least time, "trapezoidal" has constant accelerations and velocities and stops at each waypoint,
-        "s_curve" also keeps a jerk limit, and "quintic" passes the waypoints smoothly, on a curve (`profiles`). The others join
+        "s_curve" also keeps a jerk limit, and "quintic" passes the waypoints smoothly, on a curve. The others join
         waypoints by straight lines; a `JointPath` has the fastest alone.
     velocity, acceleration, jerk: limits, (n,) or one number [rad, m and s], at every moment; a velocity may be infinite. None
         is the robot's velocity, four times it a second (no limit where torque or power limit the drives), and no jerk limit.

@@ -323,7 +323,7 @@ class Judge:
         spans = points.shape[1] - self.options.degree
         if not (self.terms.drives.limited and len(points)):
             return np.zeros((len(points), spans))
-        return np.abs(self.terms.loads(*self.states(points))).reshape(len(points), spans, -1).max(axis=2)
+        return np.abs(self.terms.loads(*self.states(points)).value).reshape(len(points), spans, -1).max(axis=2)
 
     def states(self, points: np.ndarray) -> list[np.ndarray]:
         """Values, rates and their rates (b, k, n) at knots and between them."""
