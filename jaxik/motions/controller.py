@@ -132,8 +132,9 @@ class PredictiveController:
                 progress(done, len(time))
         q, velocity, total, error, damping = map(np.stack, zip(*moments, strict=True))
         course = Course(q, velocity, error, damping, path.at(time, duration).pose, costs=total)
-        judged, names = map(np.asarray, self._judged(course)), self.robot.joint_names
-        return FollowResult(time, q, velocity, error, damping, *judged, total=total, joint_names=names)
+        reason, sample = map(np.asarray, self._judged(course))
+        names = self.robot.joint_names
+        return FollowResult(time, q, velocity, error, damping, reason, sample, total, names)
 
     @functools.cached_property
     def _program(self) -> Callable[..., tuple[PredictiveState, PredictiveCommand]]:

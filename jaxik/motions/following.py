@@ -142,9 +142,9 @@ def follow(
         raise ValueError(f"follow: acceleration has {len(most)} numbers; allowed: {allowed}")
     count = samples(float(np.max(duration)), options.dt)
     program = _program(robot, cost, options, count, axes)
-    found = by_scenarios(program, axes, (jnp.asarray(q), path, duration), progress)
+    found: Any = map(np.asarray, by_scenarios(program, axes, (jnp.asarray(q), path, duration), progress))
     time = np.broadcast_to(options.dt * np.arange(count), (*q.shape[:-1], count))
-    moved = FollowResult(time, *map(np.asarray, found), joint_names=robot.joint_names)
+    moved = FollowResult(time, *found, joint_names=robot.joint_names)
     off = np.max(np.abs(moved.error[..., 0, :]), initial=0.0)
     if off > options.tolerance:
         warnings.warn(f"follow: the path begins {off:.2g} m or rad from the tip at q; begin it there", stacklevel=2)

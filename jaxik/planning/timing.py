@@ -145,7 +145,7 @@ def _drives(robot: Robot | None, torque: Any, power: Any, gravity: Any) -> Drive
 
 def _fastest_along(path: JointPath, limits: Limits, drives: Drives | None, places: int | None, single: bool) -> Trajectory:
     """The least time along paths (N, ...), within limits (N, n) and what the drives give."""
-    lengths, curve, k = path.lengths, path.coefficients, path.lengths.shape[1]
+    lengths, curve, k = np.asarray(path.lengths), np.asarray(path.coefficients), np.shape(path.lengths)[1]
     parts = max(FINE, -(-MANY // k)) if places is None else max(LEAST, -(-as_count("time_path: places", places) // k))
     known = np.isfinite(lengths).all(axis=1) & np.isfinite(curve).all(axis=(1, 2, 3))
     if drives is None:

@@ -282,7 +282,7 @@ def test_a_motion_of_a_robot_knows_its_joints(tmp_path):
     assert other["joint_names"] == ["a", "b"]
     nameless = time_path([[0.0], [1.0]], velocity=1.0)
     for motion in (nameless, nameless.sample(0.1)):
-        with pytest.raises(ValueError, match="^save_trajectory: [TM].* without joint_names; give robot=, the robot or"):
+        with pytest.raises(ValueError, match=r"^save_trajectory: [TM].* without joint_names; give robot=, the robot or"):
             save_trajectory(motion, tmp_path / "x.csv")
 
 
