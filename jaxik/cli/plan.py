@@ -56,7 +56,7 @@ class PlanArguments(FLAGS, SearchArguments):
         if not moved:
             raise Unsolved(f"no motion in {seconds:.1f} s: {self._why(moved, robot, scene)}")
         with writing(self.out) as (aside, wrote):
-            jaxik.planning.save_trajectory(moved.trajectory, aside, robot=robot, dt=self.dt)
+            jaxik.planning.save_trajectory(moved.trajectory, aside, dt=self.dt)
         lasts, corners = moved.trajectory.duration, len(moved.waypoints) - 2
         print(f"{lasts:.2f} s around {corners} corners, planned in {seconds:.2f} s; {wrote}")
 

@@ -25,9 +25,8 @@ from jaxik.harvesting.picks import Picks, Way, ends, find_picks, rows_of
 from jaxik.harvesting.tour import best_members, shortest_tour
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker, judged, touched
-from jaxik.planning.goals import postures
 from jaxik.planning.limits import motion_limits
-from jaxik.planning.planner import PlanOptions, plan_motion
+from jaxik.planning.planner import PlanOptions, plan_motion, postures
 from jaxik.planning.trajectory import Trajectory
 from jaxik.reasons import Reason
 
@@ -99,7 +98,7 @@ class _Planner:
         self.around = _Surroundings(scene, options.leaves)
         limits = {"velocity": options.velocity, "acceleration": options.acceleration}
         self.motion = PlanOptions(margin=options.margin, rounds=options.rounds, **limits)
-        self.limits = motion_limits("plan_harvest", self.robot, **limits)
+        self.limits = motion_limits("plan_harvest", self.robot, **limits, shape=(self.robot.num_joints,))
         clear = max(options.margin, asked.margin)
         self.way = Way(asked.grasp, options.approach, options.candidates, options.margin, clear, self.limits)
         self.rank = _ranks(scene.marks, options.order)  # from which the shortest order is looked for, too

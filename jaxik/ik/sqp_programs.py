@@ -26,7 +26,7 @@ from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSE, Task
 from jaxik.optimise import sqp
 from jaxik.optimise.linear import column, dot
-from jaxik.optimise.qp import NONE, Rows
+from jaxik.optimise.sqp import NONE, Rows
 from jaxik.spatial.algebra import Frame, Scalar, add, mul, safe_sqrt, stack
 from jaxik.spmd import HostKernel, kernel
 from jaxik.spmd.batch import in_blocks
@@ -52,7 +52,7 @@ class Goal(NamedTuple):
 
 SEARCH = sqp.Options()
 AVOID = sqp.Options(passes=3)  # for clearance
-IMPROVE = sqp.Options(hessian="bfgs", merit="augmented_lagrangian", floor=1e-10, passes=3)  # for a cost
+IMPROVE = sqp.Options(learned=True, floor=1e-10, passes=3)  # for a cost
 
 
 def unit_length(robot: Robot) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import Array
-from jaxik.pytree import Pytree
+from jaxik.pytree import Pytree, static
 
 if TYPE_CHECKING:  # a type checker lets what a motion has be used without a question whether it has it
     Joints = Any
@@ -28,6 +28,7 @@ class Motion(Pytree):
     current (..., n): of the motors [A].
     torsion (..., n): of the gears, output against motor [rad].
     external (..., n): torque of forces from outside [Nm, N].
+    joint_names: the names of the joints; none where they are not known.
 
     A single moment has no axis before the joints, a motion (k, n), many motions of one length (b, k, n).
     """
@@ -40,6 +41,7 @@ class Motion(Pytree):
     current: Joints = None
     torsion: Joints = None
     external: Joints = None
+    joint_names: tuple[str, ...] = static(default=())
 
     @property
     def state(self) -> tuple[Any, Any, Any]:

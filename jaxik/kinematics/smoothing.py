@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,8 @@ def smooth(motion: Motion, *, cutoff: float | None = None) -> Motion:
     amplifiers, 1930; SciPy's `sosfiltfilt`.
     """
     check_kind("smooth", "motion", motion, Motion)
-    known = {name: numbers(f"smooth: {name}", x) for name, x in vars(motion).items() if x is not None or name in ("q", "time")}
+    given = {name: x for name, x in vars(motion).items() if x is not None or name in ("q", "time")}
+    known: dict[str, Any] = {name: numbers(f"smooth: {name}", x) for name, x in given.items() if name != "joint_names"}
     time = known.pop("time")
     grows = time.ndim == 1 and len(time) > 1 and (np.diff(time) > 0.0).all()
     for name, x in known.items():

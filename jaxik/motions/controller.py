@@ -24,8 +24,7 @@ from jaxik.checks.arrays import Array, as_numbers
 from jaxik.checks.options import as_count, check_finite, check_kind
 from jaxik.costs import RunningCost
 from jaxik.kinematics.robot import Robot
-from jaxik.motions.diagnosis import Course, diagnose
-from jaxik.motions.following import FollowResult, Progress, samples
+from jaxik.motions.following import Course, FollowResult, Progress, diagnose, samples
 from jaxik.motions.path import Path, check_path
 from jaxik.motions.predictive import PredictOptions, future, objective, problem
 from jaxik.optimise import descent, ocp
@@ -133,7 +132,9 @@ class PredictiveController:
                 progress(done, len(time))
         q, velocity, total, error, damping = map(np.stack, zip(*moments, strict=True))
         course = Course(q, velocity, error, damping, path.at(time, duration).pose, costs=total)
-        return FollowResult(time, q, velocity, error, damping, *map(np.asarray, self._judged(course)), total=total)
+        reason, sample = map(np.asarray, self._judged(course))
+        names = self.robot.joint_names
+        return FollowResult(time, q, velocity, error, damping, reason, sample, total, names)
 
     @functools.cached_property
     def _program(self) -> Callable[..., tuple[PredictiveState, PredictiveCommand]]:

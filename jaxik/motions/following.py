@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,21 +21,46 @@ from jaxik.checks.arrays import is_known, numbers
 from jaxik.checks.options import batch_axes, check_kind
 from jaxik.costs import Cost
 from jaxik.kinematics.motion import Motion
+from jaxik.kinematics.reach_bound import reach_bound
 from jaxik.kinematics.robot import Robot
-from jaxik.motions.diagnosis import Course, MotionResult, diagnose
-from jaxik.motions.nullspace import Box, LoopOptions, RateLimits, Resolved, loop_gain, resolve
+from jaxik.kinematics.task import Task
+from jaxik.motions.nullspace import Box, LoopOptions, RateLimits, Resolved, downhill, loop_gain
 from jaxik.motions.path import Path, TipMotion, check_path
 from jaxik.optimise import ocp
 from jaxik.options import choice, flag, number, per_joint
+from jaxik.pytree import static
 from jaxik.reasons import Reason
+from jaxik.results import Result
 from jaxik.spmd import kernel
 from jaxik.spmd.batch import cores, in_blocks
 
 Scheme = Literal["rmrc", "asc", "rac"]
 Each = Literal["path", "duration"]
+FASTER = 1e-4  # of a joint's velocity limit, that rounding and differences of samples may add
 LANES = 128  # motions a call where there are more: another number compiles nothing
 Axes = tuple[int | None, ...]
 Progress = Callable[[int, int], Any]
+
+
+class MotionResult(Result):
+    """The base of results that `diagnose` judged: their `why` names the `sample` at which a motion fails."""
+
+    ROW: ClassVar = "motion"
+    HELP: ClassVar = {
+        Reason.OUT_OF_REACH: "ask solve_ik for poses on the path first",
+        Reason.LIMITS: "give it more time, begin elsewhere, or widen the limits",
+        Reason.SINGULAR: "lead the path around, or free a component of the task",
+        Reason.NOT_CONVERGED: "begin the path at the tip's pose, or change gain or dt",
+        Reason.INVALID: "look for NaN in the path, q and the cost",
+        Reason.STILL: "give the path a length",
+    }
+
+    def _words(self, reason: Reason, row: int) -> str:
+        words = super()._words(reason, row)
+        if reason in (Reason.SOLVED, Reason.STILL):
+            return words
+        sample: Any = np.ravel(getattr(self, "sample"))[row]  # noqa: B009  # each subclass declares it
+        return words.replace(reason.text, f"{reason.text} at sample {int(sample)}", 1)
 
 
 class FollowOptions(LoopOptions, who="follow"):
@@ -78,11 +103,12 @@ class FollowResult(MotionResult):
     reason: Int[np.ndarray, "*b"]
     sample: Int[np.ndarray, "*b"]
     total: Float[np.ndarray, "*b k"] | None = None
+    joint_names: tuple[str, ...] = static(default=())
 
     @property
     def motion(self) -> Motion:
         """The joints over time."""
-        return Motion(self.q, self.velocity, time=self.time)
+        return Motion(self.q, self.velocity, time=self.time, joint_names=self.joint_names)
 
 
 def follow(
@@ -116,9 +142,9 @@ def follow(
         raise ValueError(f"follow: acceleration has {len(most)} numbers; allowed: {allowed}")
     count = samples(float(np.max(duration)), options.dt)
     program = _program(robot, cost, options, count, axes)
-    found = by_scenarios(program, axes, (jnp.asarray(q), path, duration), progress)
+    found: Any = map(np.asarray, by_scenarios(program, axes, (jnp.asarray(q), path, duration), progress))
     time = np.broadcast_to(options.dt * np.arange(count), (*q.shape[:-1], count))
-    moved = FollowResult(time, *map(np.asarray, found))
+    moved = FollowResult(time, *found, joint_names=robot.joint_names)
     off = np.max(np.abs(moved.error[..., 0, :]), initial=0.0)
     if off > options.tolerance:
         warnings.warn(f"follow: the path begins {off:.2g} m or rad from the tip at q; begin it there", stacklevel=2)
@@ -198,21 +224,20 @@ def _moved(
 ) -> tuple[Any, Resolved, Any]:
     """The state a sample later; how it was resolved at its start; and whether a limit held a joint back."""
     dt = how.dt
-    options: dict[str, Any] = {"task": how.task, "weights": how.weights, "floor": how.floor, "alpha": how.alpha}
     low, high = limits.rates(q, qdot, dt)
     boxed = how.limits or how.acceleration is not None
     if how.scheme == "rac":
-        slow = loop_gain(how.gain, dt, 0.5)
-        box = limits.accelerations(q, qdot, dt) if boxed else None
-        options |= {"qdot": qdot, "damping": how.damping, "gain": 0.5 * slow}
-        found = resolve(robot, q, ocp.sample(stages, 0), cost=cost, box=box, **options)
+        box, gain = limits.accelerations(q, qdot, dt) if boxed else None, 0.5 * loop_gain(how.gain, dt, 0.5)
+        u = downhill(robot, q, cost, how.alpha, how.weights) - how.damping * qdot
+        found = how.resolved(robot, q, ocp.sample(stages, 0), u, gain=gain, box=box, qdot=qdot)
         rate = qdot + dt * found.rate
         after = q + 0.5 * dt * (qdot + rate)
     else:
-        down, box = cost if how.scheme == "asc" else None, Box(low, high) if boxed else None
+        box, gain = Box(low, high) if boxed else None, loop_gain(how.gain, dt)
 
-        def field(q: Any, _: Any, asked: TipMotion) -> tuple[Any, Resolved]:
-            found = resolve(robot, q, asked, cost=down, gain=loop_gain(how.gain, dt), box=box, **options)
+        def field(q: Any, _: Any, asked: TipMotion) -> tuple[Any, Resolved]:  # with rmrc there is no cost
+            u = downhill(robot, q, cost, how.alpha, how.weights)
+            found = how.resolved(robot, q, asked, u, gain=gain, box=box)
             return found.rate, found
 
         after, _, found = ocp.integrator(how.integrator, field, dt)(q, None, stages)
@@ -227,3 +252,69 @@ def _standing(course: Course, k: Any) -> tuple[Any, Any, Any, Any]:
     before, moving = index < k, index < jnp.where(k < len(index), last, k)
     q, error = (jnp.where(before[:, None], x, x[last]) for x in (course.q, course.error))
     return q, jnp.where(moving[:, None], course.qdot, 0.0), error, jnp.where(before, course.damping, 0.0)
+
+
+class Course(NamedTuple):
+    """A motion's samples: q and qdot (k, n), the tip's error (k, m) [m, rad], the damping (k,), the pose (k, 4, 4) that was
+    asked, whether limits held a joint back (k,), and the cost of each (k,)."""
+
+    q: Any
+    qdot: Any
+    error: Any
+    damping: Any
+    pose: Any
+    held: Any = False
+    costs: Any = 0.0
+
+
+def diagnose(robot: Robot, task: Task, course: Course, tolerance: float, keep: bool) -> tuple[Any, Any]:
+    """The `Reason` and the sample where it happened, the number of samples where all is well. Traced.
+
+    A motion fails where something is not a number, its cost included (INVALID), where a joint passes the limits of position or
+    velocity that it should `keep` (LIMITS), and where the tip's error exceeds `tolerance` in a component: because the path
+    leaves the workspace (OUT_OF_REACH), or because since the tip began to fall behind a joint was held back by its limits
+    (LIMITS) or damping acted (SINGULAR), or else for no reason but that its loop is not closed well, or that it begins
+    elsewhere (NOT_CONVERGED). A path without length is STILL.
+    """
+    index = jnp.arange(len(course.q))
+    q, qdot, error, damping, pose, held, costs = (jnp.broadcast_to(x, (len(index), *jnp.shape(x)[1:])) for x in course)
+    moment = functools.partial(_moment, robot, task, float(tolerance), bool(keep), pose[0])
+    lost, outside, late, well, beyond, moved = jax.vmap(moment)(q, qdot, error, pose, costs)
+    fails = lost | outside | late
+    first, moves = jnp.argmax(fails), jnp.any(moved)
+    begins = jnp.max(jnp.where(well & ~fails & (index < first), index, 0))  # where the tip was last where it should be
+    acted = lambda each: jnp.any(each & (begins <= index) & (index <= first))
+    reason = jnp.where(acted(damping > 0.0), int(Reason.SINGULAR), int(Reason.NOT_CONVERGED))
+    reason = jnp.where(acted(held) | outside[first], int(Reason.LIMITS), reason)
+    reason = jnp.where(late[0], int(Reason.NOT_CONVERGED), reason)
+    reason = jnp.where(lost[first], int(Reason.INVALID), reason)
+    stretched = late[first] & jnp.any(beyond & (index >= first))  # an arm is stretched there, and late already before
+    reason = jnp.where(stretched, int(Reason.OUT_OF_REACH), reason)
+    well_done = jnp.where(moves, int(Reason.SOLVED), int(Reason.STILL))
+    failed, reached = jnp.any(fails), jnp.where(moves, len(index), 0)
+    return jnp.where(failed, reason, well_done), jnp.where(failed, first, reached)
+
+
+@kernel(models=4)
+def _moment(
+    robot: Robot, task: Task, tolerance: float, keep: bool, first: Any, q: Any, qdot: Any, error: Any, pose: Any, costs: Any
+) -> tuple[Any, ...]:
+    """Whether a sample is lost, outside of the limits, late, well, beyond reach, and has moved from the `first` pose."""
+    finite = [jnp.all(jnp.isfinite(x)) for x in (q, qdot, error, pose, costs)]
+    lost = ~jnp.all(jnp.stack(finite))
+    lower, upper, fastest = (jnp.asarray(bound, q.dtype) for bound in (robot.lower, robot.upper, robot.velocity))
+    near = 1e-6 * (1.0 + jnp.abs(q))
+    outside = (q < lower - near) | (q > upper + near) | (jnp.abs(qdot) > (1.0 + FASTER) * fastest)
+    away = jnp.max(jnp.abs(error), initial=0.0)
+    moved = jnp.any(jnp.abs(pose - first) > 100.0 * jnp.finfo(q.dtype).eps)
+    late = ~(away <= tolerance) & ~lost
+    return lost, jnp.any(outside) & keep & ~lost, late, away <= 0.1 * tolerance, _beyond(robot, task, pose), moved
+
+
+def _beyond(robot: Robot, task: Task, pose: Any) -> Any:
+    """Whether a pose asks for a position that no configuration has, by the components that are bound."""
+    bounds = reach_bound(robot, False)
+    apart = pose[:3, 3] - jnp.asarray(bounds.origin, pose.dtype)
+    if task.axes == "tool":
+        apart = pose[:3, :3].T @ apart
+    return jnp.linalg.norm(apart[jnp.array(task.positions, int)]) > bounds.longest

@@ -72,6 +72,12 @@ class LoopOptions(Options):
         if not settles(self.gain, dt):
             raise ValueError(f"{self.who}: dt {dt}, gain {self.gain}; allowed: 0 <= gain dt < 2")
 
+    def resolved(
+        self, robot: Robot, q: Any, motion: TipMotion, u: Any, *, gain: Any, box: Box | None = None, qdot: Any = None
+    ) -> Resolved:
+        """`resolve` with these options, as a part of a kernel."""
+        return _resolved(robot, self.task, self.floor, q, motion, u, gain, self.weights, box, qdot)
+
 
 class Box(NamedTuple):
     """Bounds (n,) of the joints' rates, or accelerations."""
@@ -113,33 +119,23 @@ def resolve(
     pair [1/s2, 1/s]. `box` bounds the result. Raises `ValueError` for a u beside a cost, an array of another shape, and weights
     that are known and not above zero.
     """
-    check_weights(robot, weights)
+    inverse_weights(robot, weights, float)  # in a kernel they are not known any more
     if u is not None and cost is not None:
         raise ValueError("resolve: u and a cost; give one of them, or u less the cost's gradient")
     if u is None:
         u = downhill(robot, q, cost, alpha, weights)
         u = u if qdot is None else u - damping * as_configuration(robot, qdot)
-    return _resolved(robot, task, floor, q, motion, u, gain, weights, box, qdot)
+    return _compiled(robot, task, floor, q, motion, u, gain, weights, box, qdot)
 
 
-def resolved(
-    robot: Robot,
-    task: Task,
-    floor: float,
-    q: Any,
-    motion: TipMotion,
-    u: Any,
-    gain: Any,
-    weights: Any,
-    box: Box | None = None,
-    qdot: Any = None,
+def _resolved(
+    robot: Robot, task: Task, floor: float, q: Any, motion: TipMotion, u: Any, gain: Any, weights: Any, box: Any, qdot: Any
 ) -> Resolved:
-    """`resolve`, inside a kernel of its own that is differentiated."""
     at = TaskAt(robot, q, motion, task, weights, floor)
     return at.resolved(at.velocity(gain) if qdot is None else at.acceleration(qdot, gain), u, box)
 
 
-_resolved = kernel(models=3)(resolved)
+_compiled = kernel(models=3)(_resolved)
 
 
 def downhill(robot: Robot, q: Any, cost: Cost | None, alpha: Any, weights: Any = None) -> Any:
@@ -152,20 +148,14 @@ def downhill(robot: Robot, q: Any, cost: Cost | None, alpha: Any, weights: Any =
 
 
 def inverse_weights(robot: Robot, weights: Any, dtype: Any) -> jax.Array:
-    """The diagonal of W^-1 (n,) of `weights`, or None. Raises `ValueError` as `check_weights` does."""
+    """The diagonal of W^-1 (n,) of `weights` (n,), 1 each if they are None. Raises `ValueError` for another shape, and for
+    those that are known and not above zero."""
     if weights is None:
         return jnp.ones(robot.num_joints, dtype)
-    check_weights(robot, weights)
-    return 1.0 / as_numbers("weights", weights, (robot.num_joints,)).astype(dtype)
-
-
-def check_weights(robot: Robot, weights: Any) -> None:
-    """Raises `ValueError` for weights (n,) of another shape, and for known ones that are not above zero; None is 1 each."""
-    if weights is None:
-        return
-    as_numbers(f"weights of the joints of {robot.name}", weights, (robot.num_joints,))
+    given = as_numbers(f"weights of the joints of {robot.name}", weights, (robot.num_joints,))
     if is_known(weights) and not np.all((np.asarray(weights) > 0.0) & np.isfinite(np.asarray(weights))):
         raise ValueError(f"weights {shown(weights)}: all are finite and > 0")
+    return 1.0 / given.astype(dtype)
 
 
 class TaskAt:

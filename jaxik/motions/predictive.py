@@ -32,9 +32,8 @@ from jaxik.checks.arrays import Array, as_numbers, check_known, numbers
 from jaxik.checks.options import as_count, check_finite, check_seed
 from jaxik.costs import RunningCost
 from jaxik.kinematics.robot import Robot
-from jaxik.motions.diagnosis import Course, MotionResult, diagnose
-from jaxik.motions.following import Axes, Progress, by_scenarios, scenario_axes
-from jaxik.motions.nullspace import LoopOptions, Resolved, loop_gain, resolved
+from jaxik.motions.following import Axes, Course, MotionResult, Progress, by_scenarios, diagnose, scenario_axes
+from jaxik.motions.nullspace import LoopOptions, Resolved, loop_gain
 from jaxik.motions.path import Path, TipMotion
 from jaxik.optimise import descent, ocp
 from jaxik.optimise.descent import DescentOptions
@@ -61,11 +60,6 @@ class PredictOptions(LoopOptions, who="predict"):
     tolerance: float = number(
         default=0.05, least=0.0, unit="m, rad", words="error of the tip in a component at which the motion fails"
     )
-
-    def resolved(self, robot: Robot, q: Any, asked: TipMotion, u: Any, gain: float | None = None) -> Resolved:
-        """The rates of `resolve` with these options; with another `gain` if one is given."""
-        gain = loop_gain(self.gain, self.dt) if gain is None else gain
-        return resolved(robot, self.task, self.floor, q, asked, u, gain, self.weights)
 
 
 class PredictResult(MotionResult):
@@ -118,7 +112,7 @@ def problem(robot: Robot, cost: RunningCost, how: PredictOptions, *given: Any, m
     """The optimal control problem, of one or `many` scenarios; its samples are a `Future`, each seen as a `Resolved`."""
 
     def field(q: Any, u: Any, asked: TipMotion) -> tuple[Any, Resolved]:
-        found = how.resolved(robot, q, asked, u)
+        found = how.resolved(robot, q, asked, u, gain=loop_gain(how.gain, how.dt))
         return found.rate, found
 
     move = ocp.driven(ocp.integrator(how.integrator, field, how.dt), how.dt)
@@ -170,7 +164,7 @@ def self_motion(robot: Robot, q: Any, along: Any, ahead: Future, how: PredictOpt
     """The end of a motion that leaves the tip at the path's start: `qdot = (1 - J# J) along` for 1 s, then Newton steps back to
     the path."""
     asked = TipMotion.still(ahead.asked.pose[0, 0])
-    turn = lambda q, share: (q + how.resolved(robot, q, asked, share * along, 1.0).rate, None)
+    turn = lambda q, share: (q + how.resolved(robot, q, asked, share * along, gain=1.0).rate, None)
     shares = jnp.concatenate([jnp.full(turns, 1.0 / turns), jnp.zeros(4)]).astype(q.dtype)
     return kernel(lambda q, shares: jax.lax.scan(turn, q, shares)[0])(q, shares)
 

@@ -70,18 +70,6 @@ class _State(NamedTuple):
         return sum(s[0].size for s in self.slack)
 
 
-class _Pulls(NamedTuple):
-    """The pulls and holds of a step: the squares' weights of the rows and of the knots' damping (b, M, t + 1, n); the
-    rows' values' pulls, those of distances (b, S, l), and of loads (b, S, m), each with the weights of its squares."""
-
-    diagonal: np.ndarray
-    rows: list[np.ndarray]
-    distances: np.ndarray
-    weights: np.ndarray
-    loads: np.ndarray
-    heavy: np.ndarray
-
-
 class _Step(NamedTuple):
     """Changes; by how much the cost would fall were all quadratic, and the equations' next multipliers."""
 
@@ -157,32 +145,16 @@ def _first(layout: Layout, which: np.ndarray, points: np.ndarray, multipliers: n
     slack = [np.maximum(d, _ROOM) for d in here.distances]
     barrier = 0.1 * (1e-3 + here.cost) / max(1, sum(s[0].size for s in slack))
     dual = [barrier[:, None, None] / s for s in slack]
-    return _State(
-        which,
-        points,
-        slack,
-        dual,
-        multipliers,
-        np.zeros(count),
-        barrier,
-        np.zeros(count),
-        _GRIP * (1e-3 + here.cost),
-        np.ones(count),
-        np.full(count, np.inf),
-        here,
-    )
+    none, grip = np.zeros(count), _GRIP * (1e-3 + here.cost)
+    since = none, barrier, none, grip, np.ones(count), np.full(count, np.inf)
+    return _State(which, points, slack, dual, multipliers, *since, here)
 
 
 def _step(layout: Layout, state: _State) -> _Step:
     """Newton's step, from whose system the slacks and multipliers of the bounds are eliminated."""
-    here, equations = state.here, state.here.equations
-    pulls = _pulls(layout, state)
-    right = _right(layout, state, pulls)
-    squares = layout.squares(here.samples.slopes, pulls.weights, equations)
-    levers = layout.levers(here.loads.slopes, pulls.heavy)
-    fixed = layout.patterns, layout.mean, layout.fixed
-    (move,) = in_blocks(_STEP, pulls.diagonal, *squares, *levers, right, fixed=fixed, double=True)
-    promise = np.abs(np.sum(move * right, axis=(1, 2)))
+    here, equations, columns = state.here, state.here.equations, _system(layout, state)
+    (move,) = in_blocks(_STEP, *columns, fixed=(layout.patterns, layout.mean, layout.fixed), double=True)
+    promise = np.abs(np.sum(move * columns[-1], axis=(1, 2)))
     if layout.problem.open_end:
         move[:, layout.end + 1 :] = move[:, layout.end : layout.end + 1]
     linear = equations.residual + np.einsum("bjmn,bjn->bjm", equations.slopes, applied(layout.value, move)[:, layout.at])
@@ -192,8 +164,10 @@ def _step(layout: Layout, state: _State) -> _Step:
     return _Step(move, by_slack, by_dual, promise, state.multipliers + layout.stiff * linear)
 
 
-def _pulls(layout: Layout, state: _State) -> _Pulls:
-    """The pulls of the cost and of the bounds' barrier."""
+def _system(layout: Layout, state: _State) -> tuple[np.ndarray, ...]:
+    """The columns of `banded_solve`: the weights of the squares of the rows and of the knots' damping (b, M, t + 1, n), slopes
+    and weights of distances, then of loads; and last the pulls of the cost and of the bounds' barrier on each control point
+    (b, M, n)."""
     rows, here, samples, barrier = layout.problem.rows, state.here, state.here.samples, state.barrier[:, None, None]
     by_row = [-2.0 * row.weights * value for row, value in zip(rows, here.values, strict=True)]
     diagonal = np.zeros((len(barrier), layout.size, len(rows) + 1, layout.n))
@@ -215,30 +189,25 @@ def _pulls(layout: Layout, state: _State) -> _Pulls:
     lever = np.abs(samples.slopes).max(axis=(1, 2))
     extra = state.damping[:, None] * np.abs(pull).sum(axis=2)
     diagonal[:, : pull.shape[1], -1] = extra[..., None] * lever[:, None]  # no more than a lever's second derivative
-    return _Pulls(diagonal, by_row, pull, weights, lifts, heavy)
-
-
-def _right(layout: Layout, state: _State, pulls: _Pulls) -> np.ndarray:
-    """The pulls on each control point (b, M, n)."""
-    samples, equations, at = state.here.samples, state.here.equations, layout.at
     right = np.zeros_like(state.points)
-    for row, by_row in zip(layout.problem.rows, pulls.rows, strict=True):
-        spread(row.stencil, by_row, right)
-    by_value = np.matmul(pulls.distances[:, :, None], samples.slopes)[:, :, 0]
-    if at:
-        total = state.multipliers + layout.stiff * equations.residual
-        by_value[:, at] -= np.einsum("bjm,bjmn->bjn", total, equations.slopes)
+    for row, pulled in zip(rows, by_row, strict=True):
+        spread(row.stencil, pulled, right)
+    by_value = np.matmul(pull[:, :, None], samples.slopes)[:, :, 0]
+    if at := layout.at:
+        total = state.multipliers + layout.stiff * here.equations.residual
+        by_value[:, at] -= np.einsum("bjm,bjmn->bjn", total, here.equations.slopes)
     spread(layout.value, by_value, right)
     if samples.by_rate is not None:
         spread(layout.rate, -samples.by_rate, right)
     stencils = layout.value, layout.rate, layout.bend
-    for stencil, slope in zip(stencils, np.moveaxis(state.here.loads.slopes, 3, 0), strict=True):
+    for stencil, slope in zip(stencils, np.moveaxis(here.loads.slopes, 3, 0), strict=True):
         if slope.size:
-            spread(stencil, np.matmul(pulls.loads[:, :, None], slope)[:, :, 0], right)
+            spread(stencil, np.matmul(lifts[:, :, None], slope)[:, :, 0], right)
     if layout.problem.open_end:
         right[:, layout.end] = right[:, layout.end :].sum(axis=1)
     right *= 1.0 - layout.fixed[:, None]
-    return right
+    squares = layout.squares(samples.slopes, weights, here.equations)
+    return diagonal, *squares, *layout.levers(here.loads.slopes, heavy), right
 
 
 def _tried(layout: Layout, state: _State, step: _Step) -> _State:

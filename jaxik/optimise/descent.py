@@ -181,22 +181,6 @@ def run(objective: Objective, w: Any, options: DescentOptions) -> Descended:
     return Descended(end.w, end.cost, end.aux, end.iterations, *history)
 
 
-def _beta(kind: str, square: Any, across: Any, before: Any, along: Any, along_before: Any) -> Any:
-    """Beta by inner products, so that no difference of gradients is formed: <g_j, g_j>, <g_j, g_{j-1}>, <g_{j-1}, g_{j-1}>,
-    <s, g_j>, <s, g_{j-1}>."""
-    if kind == "steepest":
-        return 0.0
-    change, curvature = square - across, along - along_before  # <g_j, y>, <s, y>
-    if kind == "hestenes_stiefel":
-        return safe_divide(change, curvature)
-    if kind == "fletcher_reeves":
-        return safe_divide(square, before)
-    if kind == "polak_ribiere":
-        return safe_divide(change, before)
-    changes = change + before - across  # <y, y>
-    return safe_divide(change - 2.0 * along * safe_divide(changes, curvature), curvature)
-
-
 def _quasi_newton(options: DescentOptions) -> Any:
     import optax  # late: not everyone needs it
 
@@ -221,8 +205,19 @@ def _heading(objective: Objective, state: State, options: DescentOptions) -> tup
 def _conjugate(
     kind: str, restart: float | None, square: Any, across: Any, before: Any, along: Any, along_before: Any, iterations: Any
 ) -> tuple[Any, Any]:
-    """Beta, 0 where there is no direction before or where it would not descend, and the slope."""
-    beta = _beta(kind, square, across, before, along, along_before)
+    """Beta, 0 where there is no direction before or where it would not descend, and the slope; by inner products, so that no
+    difference of gradients is formed: <g_j, g_j>, <g_j, g_{j-1}>, <g_{j-1}, g_{j-1}>, <s, g_j>, <s, g_{j-1}>."""
+    change, curvature = square - across, along - along_before  # <g_j, y>, <s, y>
+    beta: Any = 0.0  # steepest
+    if kind == "hestenes_stiefel":
+        beta = safe_divide(change, curvature)
+    elif kind == "fletcher_reeves":
+        beta = safe_divide(square, before)
+    elif kind == "polak_ribiere":
+        beta = safe_divide(change, before)
+    elif kind == "hager_zhang":
+        changes = change + before - across  # <y, y>
+        beta = safe_divide(change - 2.0 * along * safe_divide(changes, curvature), curvature)
     anew = iterations == 0
     if restart is not None:
         anew |= jnp.abs(across) > restart * square

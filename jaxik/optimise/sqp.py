@@ -1,21 +1,31 @@
-"""Sequential quadratic programming for many small problems at once; it knows no robot.
+"""Sequential quadratic programming for many small problems at once, written out on scalars; it knows no robot.
 
     min_x  f(x)      r(x) = 0,   c(x) >= 0,   lower <= x <= upper
 
-Each step solves `qp.solve` for the problem linearised at x and moves there; x never leaves its bounds. What is the users'
-choice:
+Each step solves the problem linearised at x, with r, A of the equations and c, C of the inequalities there, and moves; x never
+leaves its bounds:
 
-hessian   "gauss_newton": B is the problem's metric, a positive definite matrix (of a sum of squares: its Gauss-Newton Hessian);
-          "bfgs": B is learned from differences of the Lagrangian's gradient, damped so that it stays positive definite
-          [Powell 1978; Nocedal and Wright 2006, proc. 18.2].
-merit     "none": every step is taken, damped by the violation, `w = damping |v|^2 + floor` [Sugihara 2011]. Fastest where
-          equations alone are to be solved and another start is cheap.
-          "l1" [Han 1977, Powell 1978] and "augmented_lagrangian" [Schittkowski 1981], the two that SQP codes offer: a step is
-          taken if it lowers the merit; otherwise x stays and the trust region shrinks, by adding to B. Along strongly curved
-          equations the first refuses good steps (the Maratos effect), the second does not.
+    min_p  w (1/2 p' B p + g' p) + 1/2 |r + A p|^2 + 1/2 |min(0, c + C p)|^2      low <= p <= high
 
-    l1:                    f + s (sum |r| + sum max(0, -c)),             s above the largest multiplier
-    augmented Lagrangian:  f + y'r + s/2 |r|^2 + (|max(0, z - s c)|^2 - |z|^2) / 2 s
+Equations and inequalities are held by a quadratic penalty with the weight 1/w. That keeps the subproblem solvable where the
+linearised constraints contradict each other, is Levenberg-Marquardt damping with w where there is no cost, and costs nothing at
+the end: a fixed point has `r = w y` (y the multipliers), and w, `damping |v|^2 + floor` of the violation v [Sugihara 2011],
+goes to its floor.
+
+The subproblem's minimum is piecewise that of a linear system. A primal-dual active set [Hintermueller, Ito, Kunisch 2002] finds
+the pieces: solve (`linear`); hold what leaves its bounds there, let go what its slope leads back inside, count the inequalities
+that are broken, and solve again. A fixed, small number of passes keeps every lane of a batch in step; what a pass more would
+change, the next step does.
+
+B is the problem's metric, a positive definite matrix (of a sum of squares: its Gauss-Newton Hessian), and every step is taken:
+fastest where equations alone are to be solved and another start is cheap. Or it is `learned` from differences of the
+Lagrangian's gradient, damped so that it stays positive definite [BFGS; Powell 1978; Nocedal and Wright 2006, proc. 18.2]; then
+a step is taken if it lowers the augmented Lagrangian [Schittkowski 1981]
+
+    f + y'r + s/2 |r|^2 + (|max(0, z - s c)|^2 - |z|^2) / 2 s,      s above the largest multiplier
+
+and otherwise x stays and the trust region shrinks, by adding to B. (A merit of absolute values, which SQP codes also offer,
+refuses good steps along strongly curved equations: the Maratos effect.)
 
 A problem is a function from scalars to a `Model`; one lane of a batch is one problem.
 """
@@ -25,19 +35,30 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.checks.options import check_choices
-from jaxik.optimise.linear import Matrix, column, dot, full, product
-from jaxik.optimise.qp import NONE, Rows, solve
+from jaxik.optimise.linear import Matrix, column, definite_solve, dot, full, product
 from jaxik.spatial.algebra import Scalar, add, mul, sub
 
-Hessian = Literal["gauss_newton", "bfgs"]
-Merit = Literal["none", "l1", "augmented_lagrangian"]
+_DAMPING = 0.05  # weight of a step by the square of the violation
+_PENALTY = 10.0  # that the merit has at least
+
+
+class Rows(NamedTuple):
+    """Linearised functions of a step p: `value + matrix p`."""
+
+    value: Sequence[Scalar]
+    matrix: Matrix
+
+    def at(self, step: Sequence[Scalar]) -> list[Scalar]:
+        return [add(v, dot(row, step)) for v, row in zip(self.value, self.matrix, strict=True)]
+
+
+NONE = Rows((), ())
 
 
 class Model(NamedTuple):
@@ -64,48 +85,28 @@ class Problem(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Options of the steps. `cap` bounds one step's largest component, in the metric; `passes` those of the active set."""
+    """Options of the steps. Whether B is `learned`, and a merit decides; `floor` of the subproblem's weight; `cap` bounds one
+    step's largest component, in the metric; `passes` those of the active set."""
 
-    hessian: str = "gauss_newton"
-    merit: str = "none"
-    damping: float = 0.05
+    learned: bool = False
     floor: float = 1e-5
     cap: float = 1.0
     passes: int = 2
-    penalty: float = 10.0
-
-    def __post_init__(self) -> None:
-        check_choices("sqp", hessian=(self.hessian, Hessian), merit=(self.merit, Merit))
-        if not (self.damping >= 0.0 and self.floor > 0.0 and self.cap > 0.0 and self.passes >= 1 and self.penalty > 0.0):
-            raise ValueError(f"sqp: {self}: damping >= 0, floor, cap and penalty > 0, passes >= 1")
-
-
-class State(NamedTuple):
-    """The state of one problem; B + `restraint` x metric measures a step where a merit decides, `learned` is the
-    lower triangle of B for "bfgs"."""
-
-    x: tuple[Any, ...]
-    model: Model
-    restraint: Any
-    learned: Any
 
 
 def run(problem: Problem, x: Any, low: Any, high: Any, iterations: int, options: Options) -> tuple[Any, Any]:
     """x (n,) after so many steps from x inside its bounds (n,), and the values there of its equations (m,)."""
     lower, upper, start = ([v[i] for i in range(len(x))] for v in (low, high, x))
-    if options.hessian == "gauss_newton" and options.merit == "none":  # nothing to remember but x
-
-        def turn(_: Any, x: Any) -> Any:
-            return _step(problem, problem.model(x), x, lower, upper, options)[0]
-
+    if options.learned:
+        metric = tuple(tuple(row[: i + 1]) for i, row in enumerate(problem.metric))
+        model, learned = _arrays((problem.model(start), metric), x.dtype)
+        begin = tuple(start), model, jnp.full_like(start[0], 1e-2), learned
+        found, model, *_ = lax.fori_loop(0, iterations, lambda _, state: _judged(problem, state, lower, upper, options), begin)
+    else:  # nothing to remember but x
+        turn = lambda _, x: _step(problem, problem.model(x), x, lower, upper, options)[0]
         found = lax.fori_loop(0, iterations, turn, tuple(start))
-        values = problem.model(found).equality.value
-    else:
-        learned = tuple(tuple(row[: i + 1]) for i, row in enumerate(problem.metric)) if options.hessian == "bfgs" else ()
-        model, learned = _arrays((problem.model(start), learned), x.dtype)
-        begin = State(tuple(start), model, jnp.full_like(start[0], 1e-2), learned)
-        end = lax.fori_loop(0, iterations, lambda _, state: advance(problem, state, lower, upper, options), begin)
-        found, values = end.x, end.model.equality.value
+        model = problem.model(found)
+    values = model.equality.value
     return jnp.stack(found), jnp.stack([jnp.asarray(v, x.dtype) for v in values]) if values else jnp.zeros(0, x.dtype)
 
 
@@ -114,7 +115,7 @@ def settle(
 ) -> tuple[Any, Any, Any]:
     """Gauss-Newton steps from x inside its bounds (n,), every one taken, until the equations' norm is `aim` or less, or after
     two steps still above `creep` times what it was, or `most` steps are done: x (n,), the equations' values there, and how many
-    steps it took. Options' merit and hessian are not asked."""
+    steps it took. B is the metric."""
     lower, upper, start = ([v[i] for i in range(len(x))] for v in (low, high, x))
 
     def turn(state: Any) -> Any:
@@ -132,35 +133,31 @@ def settle(
     return jnp.stack(found), jnp.stack(values), count
 
 
-def advance(problem: Problem, state: State, low: Sequence[Any], high: Sequence[Any], options: Options) -> State:
-    """Makes one step, taken or refused by the merit."""
+def _judged(problem: Problem, state: Any, low: Sequence[Any], high: Sequence[Any], options: Options) -> Any:
+    """Makes one step, taken or refused by the merit, of a state: x, the `Model` there, the restraint, of which so many metrics
+    are added to B, and the lower triangle of B."""
     x, model, restraint, learned = state
     moved, p, weight = _step(problem, model, x, low, high, options, restraint, learned)
     there = _arrays(problem.model(moved), x[0].dtype)
     y = [r / weight for r in model.equality.at(p)]
     z = [jnp.maximum(-c, 0.0) / weight for c in model.inequality.at(p)]
-    if options.hessian == "bfgs":
-        taken = [b - a for a, b in zip(x, moved, strict=True)]
-        change = [b - a for a, b in zip(_slope(model, y, z), _slope(there, y, z), strict=True)]
-        learned = _damped_bfgs(learned, taken, change)
-    if options.merit == "none":
-        return State(moved, there, restraint, learned)
-    merit = _l1 if options.merit == "l1" else _augmented_lagrangian
-    steep = functools.reduce(jnp.maximum, [options.penalty, *(2.0 * abs(multiplier) for multiplier in (*y, *z))])
-    better = merit(there, y, z, steep) <= merit(model, y, z, steep)
+    taken = [b - a for a, b in zip(x, moved, strict=True)]
+    change = [b - a for a, b in zip(_slope(model, y, z), _slope(there, y, z), strict=True)]
+    learned = _damped_bfgs(learned, taken, change)
+    steep = functools.reduce(jnp.maximum, [_PENALTY, *(2.0 * abs(multiplier) for multiplier in (*y, *z))])
+    better = _augmented_lagrangian(there, y, z, steep) <= _augmented_lagrangian(model, y, z, steep)
     restraint = jnp.clip(restraint * jnp.where(better, 0.3, 8.0), 1e-4, 1e8)
     x, model = jax.tree_util.tree_map(lambda new, old: jnp.where(better, new, old), (moved, there), (x, model))
-    return State(x, model, restraint, learned)
+    return x, model, restraint, learned
 
 
 def _step(
     problem: Problem, model: Model, x: Any, low: Any, high: Any, options: Options, restraint: Any = 0.0, learned: Any = ()
 ) -> Any:
     """The end of a step, the step, and the weight of its subproblem."""
-    weight = options.damping * model.violation + options.floor
-    hessian = full(learned) if learned else problem.metric
-    if options.merit != "none":  # the trust region's multiplier: steps for cost and constraints alike become shorter
-        rows = zip(hessian, problem.metric, strict=True)
+    weight, hessian = _DAMPING * model.violation + options.floor, problem.metric
+    if learned:  # with the trust region's multiplier: steps for cost and constraints alike become shorter
+        rows = zip(full(learned), problem.metric, strict=True)
         hessian = [[add(b, mul(restraint, m)) for b, m in zip(*row, strict=True)] for row in rows]
     least, most = ([b - a for a, b in zip(x, bound, strict=True)] for bound in (low, high))
     constraints = model.equality, model.inequality
@@ -197,12 +194,60 @@ def _damped_bfgs(lower: Any, step: Sequence[Any], change: Sequence[Any]) -> Any:
     )
 
 
-def _l1(model: Model, y: Sequence[Any], z: Sequence[Any], weight: Any) -> Any:
-    broken = [abs(r) for r in model.equality.value] + [jnp.maximum(-c, 0.0) for c in model.inequality.value]
-    return model.cost + weight * sum(broken)
-
-
 def _augmented_lagrangian(model: Model, y: Sequence[Any], z: Sequence[Any], weight: Any) -> Any:
     equal = dot(y, model.equality.value) + 0.5 * weight * dot(model.equality.value, model.equality.value)
     short = [jnp.maximum(v - weight * c, 0.0) ** 2 - v**2 for v, c in zip(z, model.inequality.value, strict=True)]
     return model.cost + equal + sum(short) / (2.0 * weight)
+
+
+def solve(
+    hessian: Matrix,
+    gradient: Sequence[Scalar],
+    equality: Rows,
+    inequality: Rows,
+    low: Sequence[Scalar],
+    high: Sequence[Scalar],
+    weight: Scalar,
+    passes: int = 2,
+    smallest: float = 1e-12,
+) -> list[Any]:
+    """The step p, n scalars, inside its bounds. `inequality` is wanted >= 0; `smallest` is the least pivot that counts."""
+    n, rows = len(gradient), inequality.matrix
+    # the part of the system that no pass changes
+    columns = [column(equality.matrix, i) for i in range(n)]
+    base = [[add(mul(weight, hessian[i][j]), dot(columns[i], columns[j])) for j in range(i + 1)] for i in range(n)]
+    right = [jnp.asarray(sub(-mul(weight, gradient[i]), dot(columns[i], equality.value))) for i in range(n)]
+    broken = [jnp.where(v < 0.0, 1.0, 0.0) for v in inequality.value]
+    free: list[Any] = [1.0] * n
+    held: list[Any] = [0.0] * n
+    for number in range(1, passes + 1):
+        counted = [[mul(on, x) for x in row] for on, row in zip(broken, rows, strict=True)]
+        matrix = [[add(base[i][j], dot(column(counted, i), column(rows, j))) for j in range(i + 1)] for i in range(n)]
+        vector = [sub(right[i], dot(column(counted, i), inequality.value)) for i in range(n)]
+        step = definite_solve(*_held(matrix, vector, free, held), smallest)
+        clipped = [jnp.clip(p, a, b) for p, a, b in zip(step, low, high, strict=True)]
+        if number == passes:
+            break
+        wants = [jnp.zeros_like(p) for p in step]  # where the slope would move what was held before this pass
+        if number > 1:
+            wants = [b - a for a, b in zip(product(full(matrix), clipped), vector, strict=True)]
+        free = [_is_free(*each) for each in zip(free, step, clipped, wants, low, high, strict=True)]
+        held = [jnp.where(f == 1.0, 0.0, c) for f, c in zip(free, clipped, strict=True)]
+        broken = [jnp.where(v < 0.0, 1.0, 0.0) for v in inequality.at(clipped)]
+    return clipped
+
+
+def _is_free(was: Any, step: Any, clipped: Any, wants: Any, low: Any, high: Any) -> Any:
+    """1 for an unknown inside its bounds, or held at one that its slope leads away from; else 0."""
+    released = (was == 0.0) & (((wants > 0.0) & (clipped < high)) | ((wants < 0.0) & (clipped > low)))
+    return jnp.where(released | ((was == 1.0) & (step == clipped)), 1.0, 0.0)
+
+
+def _held(matrix: Matrix, right: Sequence[Scalar], free: Sequence[Scalar], held: Sequence[Scalar]) -> tuple[Any, Any]:
+    """The system with the unknowns that are not `free` fixed at `held`."""
+    n = len(right)
+    moved = [sub(b, x) for b, x in zip(right, product(full(matrix), held), strict=True)]
+    ones = [sub(1.0, f) for f in free]
+    both = lambda i, j: mul(matrix[i][j], mul(free[i], free[j]))
+    masked = [[add(both(i, j), ones[i] if i == j else 0.0) for j in range(i + 1)] for i in range(n)]
+    return masked, [add(mul(f, b), h) for f, b, h in zip(free, moved, held, strict=True)]

@@ -4,8 +4,7 @@ from jaxik.planning.planner import PlanOptions, PlanResult, plan_motion
 from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.planning.trajectory_files import load_trajectory, save_trajectory
-from jaxik.planning.trajectory_optimiser import TrajectoryResult, optimise_trajectory
-from jaxik.planning.trajectory_sensitivity import trajectory_cost
+from jaxik.planning.trajectory_optimiser import TrajectoryResult, optimise_trajectory, trajectory_cost
 from jaxik.planning.trajectory_terms import TrajectoryOptions
 
 __all__ = [

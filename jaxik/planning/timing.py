@@ -1,20 +1,36 @@
-"""The timing of a path: the least time that the limits allow, or a profile that is known in closed form."""
+"""The timing of a path: the least time that the limits allow, or a profile over time that is known in closed form.
+
+"trapezoidal" is straight from each waypoint to the next, at rest at each: a constant acceleration, a constant velocity and a
+constant deceleration, the fastest that the limits allow. "s_curve" has a limit of the jerk, too: the acceleration rises and
+falls linearly, in seven phases [Biagiotti and Melchiorri, Trajectory Planning for Automatic Machines and Robots, 2008,
+sec. 3.4].
+
+"quintic" passes the waypoints without a stop: polynomials of fifth degree in time, at rest and without acceleration at both
+ends, with four continuous derivatives; of all motions that have these times at the waypoints the one with the least integral of
+jerk squared. Between two waypoints it is `10 x^3 - 15 x^4 + 6 x^5`. Each line is given the time that its slowest joint needs,
+and all of them are drawn out until the limits are kept at every moment. Between waypoints the way is curved, and may leave the
+joints' range. By SciPy.
+
+These profiles give a `Trajectory` with polynomials of time itself, which stands for the way along the path.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import math
 from typing import Any, Literal
 
+import jax
 import numpy as np
 
 from jaxik.checks.arrays import numbers
-from jaxik.checks.options import as_count, check_choices, check_kind
+from jaxik.checks.options import as_count, check_choices, check_kind, shown
 from jaxik.dynamics.recursions import GRAVITY
 from jaxik.kinematics.robot import Robot
 from jaxik.optimise.time_scaling import fastest
-from jaxik.planning import torque_limits
-from jaxik.planning.limits import UNITS, limits_of, usual
-from jaxik.planning.profiles import profiled, stacked
+from jaxik.planning import limits as drive_limits
+from jaxik.planning.limits import UNITS, Drives, Limits, limit_of, motion_limits
 from jaxik.planning.trajectory import JointPath, Trajectory, straight
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
@@ -48,7 +64,7 @@ def time_path(
     """The motion along a `JointPath`, or through waypoints (k, n) [rad, m], k >= 2, from rest to rest. Host driver.
 
     profile: "fastest" takes the least time, "trapezoidal" has constant accelerations and velocities and stops at each waypoint,
-        "s_curve" also keeps a jerk limit, and "quintic" passes the waypoints smoothly, on a curve (`profiles`). The others join
+        "s_curve" also keeps a jerk limit, and "quintic" passes the waypoints smoothly, on a curve. The others join
         waypoints by straight lines; a `JointPath` has the fastest alone.
     velocity, acceleration, jerk: limits, (n,) or one number [rad, m and s], at every moment; a velocity may be infinite. None
         is the robot's velocity, four times it a second (no limit where torque or power limit the drives), and no jerk limit.
@@ -75,107 +91,36 @@ def time_path(
         if given is not None and name not in OPTIONS[profile]:
             having = ", ".join(f"'{other}'" for other, names in OPTIONS.items() if name in names)
             raise ValueError(f"time_path: profile '{profile}' has no {name}; leave it out, or give profile= one of {having}")
-    if profile == "fastest":
-        return _fastest_along(path, velocity, acceleration, places, robot, (torque, power, gravity))
-    return _profiled(profile, path, velocity, acceleration, jerk, duration, robot)
-
-
-def _profiled(
-    profile: str, path: Any, velocity: Any, acceleration: Any, jerk: Any, duration: Any, robot: Robot | None
-) -> Trajectory:
-    if isinstance(path, JointPath):
+    if isinstance(path, JointPath) and profile != "fastest":
         raise ValueError(f"time_path: profile '{profile}' is of waypoints (k, n); a JointPath is timed by profile='fastest'")
     if profile == "s_curve" and jerk is None:
         raise ValueError(f"time_path: no jerk; profile 's_curve' needs jerk= {UNITS['jerk']}")
-    points, single = stacked(path)
-    _check_joints(robot, points.shape[-1])
-    limits = limits_of("time_path", *usual("time_path", robot, velocity, acceleration), points.shape[::2])
-    return profiled(profile, points, limits, np.inf if jerk is None else jerk, duration, single)
-
-
-def _fastest_along(
-    path: Any, velocity: Any, acceleration: Any, places: int | None, robot: Robot | None, drives: tuple[Any, Any, Any]
-) -> Trajectory:
-    """The least time along a path, or the straight lines between waypoints, within limits and what the drives give."""
-    if not isinstance(path, JointPath):
-        points, alone = stacked(path)
-        path = straight(points[0] if alone else points)
-    lengths, curve = _arrays(path)
-    single, (*_, k, n) = lengths.ndim == 1, (*lengths.shape, curve.shape[-1])
-    if single:
-        lengths, curve = lengths[None], curve[None]
-    _check_joints(robot, n)
-    limited = _drives(robot, *drives)
-    given = usual("time_path", robot, velocity, acceleration, limited is not None)
-    limits = limits_of("time_path", *given, (len(lengths), n), limited is not None)
-    parts = max(FINE, -(-MANY // k)) if places is None else max(LEAST, -(-as_count("time_path: places", places) // k))
-    known = np.isfinite(lengths).all(axis=1) & np.isfinite(curve).all(axis=(1, 2, 3))
-    if limited is None:
-        (squares,) = in_blocks(_fastest(parts), curve, lengths, *limits, double=True)
-    else:
-        finite = np.where(known[:, None, None, None], curve, 0.0), np.where(known[:, None], lengths, 0.0)
-        squares = _driven(limited, *finite, limits, parts)
-        if single and known[0] and np.isnan(squares[0]).any():
-            forces = torque_limits.forces(limited, *finite, parts)
-            raise ValueError(f"time_path: {torque_limits.weakest(limited, forces, parts)}")
-    squares[~known] = np.nan
-    from_rest = lambda x: np.concatenate([np.zeros((len(x), 1)), x], axis=1)
-    since = lambda x: from_rest(np.cumsum(x, axis=1))
-    speed = np.sqrt(from_rest(squares))
-    step, both = np.repeat(lengths / parts, parts, axis=1), speed[:, 1:] + speed[:, :-1]
-    with np.errstate(divide="ignore"):  # limits so small that nothing moves: it takes for ever
-        place, time = since(step), since(np.divide(2.0 * step, both, out=np.zeros_like(both), where=~(step == 0.0)))
-    whole = Trajectory(JointPath(lengths, curve), time, place, speed)
-    return whole if not single else Trajectory(JointPath(lengths[0], curve[0]), time[0], place[0], speed[0])
-
-
-@functools.cache
-def _fastest(parts: int, rows: int = 0) -> HostKernel:
-    """The kernel of `fastest`, with `rows` more arrays of limits."""
-    return HostKernel(functools.partial(fastest, parts=parts), 4 + rows)
-
-
-def _check_joints(robot: Robot | None, n: int) -> None:
-    """Raises `ValueError` for a robot of other joints than the path's n."""
+    given, single = _pieces(path) if isinstance(path, JointPath) else _waypoints(path)
+    count, *_, n = np.shape(given.coefficients if isinstance(path, JointPath) else given)
     if robot is not None and robot.num_joints != n:
         raise ValueError(f"time_path: a path of {n} joints, and {robot.name} has {robot.num_joints}")
+    drives = _drives(robot, torque, power, gravity)
+    limits = motion_limits("time_path", robot, velocity, acceleration, (count, n), drives is not None)
+    if profile == "fastest":
+        found = _fastest_along(given if isinstance(path, JointPath) else straight(given), limits, drives, places, single)
+    else:
+        found = _profiled(profile, given, limits, jerk, duration, single)
+    found = found if robot is None else dataclasses.replace(found, joint_names=robot.joint_names)
+    return jax.tree_util.tree_map(lambda x: x[0], found) if single else found
 
 
-def _drives(robot: Robot | None, torque: Any, power: Any, gravity: Any) -> torque_limits.Drives | None:
-    """The robot's drives, or None where nothing limits them. Raises `ValueError` for their limits without a robot."""
-    if robot is None:
-        if not (torque is None and power is None):
-            raise ValueError("time_path: torque and power are of a robot; write robot=")
-        return None
-    found = torque_limits.drives("time_path", robot, torque, power, gravity)
-    return found if found.limited else None
+def _waypoints(given: Any) -> tuple[Any, bool]:
+    """Waypoints (N, k, n), a row with NaN being NaN throughout, and whether it was one motion (k, n)."""
+    points = numbers("time_path: waypoints", given)
+    if points.ndim not in (2, 3) or points.shape[-2] < 2 or not points.shape[-1]:
+        raise ValueError(f"time_path: waypoints of shape {points.shape}; allowed: (k, n), k >= 2, or a stack (N, k, n)")
+    single = points.ndim == 2
+    points = points[None] if single else points
+    return np.where(np.isfinite(points).all(axis=(1, 2), keepdims=True), points, np.nan), single
 
 
-def _driven(limits: torque_limits.Drives, curve: np.ndarray, lengths: np.ndarray, others: Any, parts: int) -> np.ndarray:
-    """Finds (ds/dt)^2 at the ends of parts within limits of torque and power too; NaN where the arm cannot stand still."""
-    forces = torque_limits.forces(limits, curve, lengths, parts)
-    step = np.repeat(lengths / parts, parts, axis=1)
-
-    def fastest_within(most: torque_limits.Drives, at: np.ndarray | None) -> np.ndarray:
-        rows = torque_limits.rows(forces, most, at, step)
-        return in_blocks(_fastest(parts, 4), curve, lengths, *others, *rows, double=True)[0]
-
-    powered, turns = np.isfinite(limits.power).any(), torque_limits.TURNS
-    squares = at = fastest_within(limits, None)
-    for turn in range(turns):
-        before, most = squares, torque_limits.left(forces, limits, squares, step)
-        squares = fastest_within(most, at if powered else None)
-        settled = np.allclose(squares, before, rtol=1e-3, atol=1e-12)
-        if settled and at is before:
-            break
-        at = torque_limits.between(at, squares) if powered and not settled and 2 * turn < turns else squares
-    squares = squares * torque_limits.slowdown(forces, limits, squares, step)[:, None] ** 2
-    squares[~torque_limits.can_hold(forces, limits.torque)] = np.nan
-    return squares
-
-
-def _arrays(path: JointPath) -> tuple[np.ndarray, np.ndarray]:
-    """The lengths and coefficients of one path or a stack."""
+def _pieces(path: JointPath) -> tuple[Any, bool]:
+    """A stack of paths, with leaves (N, ...), and whether it was one."""
     lengths, curve = numbers("time_path: path", path.lengths), numbers("time_path: path", path.coefficients)
     if lengths.ndim not in (1, 2) or not lengths.shape[-1] or curve.shape[:-1] != (*lengths.shape, 4):
         raise ValueError(
@@ -184,4 +129,182 @@ def _arrays(path: JointPath) -> tuple[np.ndarray, np.ndarray]:
         )
     if (lengths < 0.0).any():
         raise ValueError(f"time_path: path has a piece of length {lengths.min():g}; a length is 0 or more")
-    return lengths, curve
+    single = lengths.ndim == 1
+    return JointPath(*(x[None] if single else x for x in (lengths, curve))), single
+
+
+def _drives(robot: Robot | None, torque: Any, power: Any, gravity: Any) -> Drives | None:
+    """The robot's drives, or None where nothing limits them. Raises `ValueError` for their limits without a robot."""
+    if robot is None:
+        if not (torque is None and power is None):
+            raise ValueError("time_path: torque and power are of a robot; write robot=")
+        return None
+    found = drive_limits.drives("time_path", robot, torque, power, gravity)
+    return found if found.limited else None
+
+
+def _fastest_along(path: JointPath, limits: Limits, drives: Drives | None, places: int | None, single: bool) -> Trajectory:
+    """The least time along paths (N, ...), within limits (N, n) and what the drives give."""
+    lengths, curve, k = np.asarray(path.lengths), np.asarray(path.coefficients), np.shape(path.lengths)[1]
+    parts = max(FINE, -(-MANY // k)) if places is None else max(LEAST, -(-as_count("time_path: places", places) // k))
+    known = np.isfinite(lengths).all(axis=1) & np.isfinite(curve).all(axis=(1, 2, 3))
+    if drives is None:
+        (squares,) = in_blocks(_fastest(parts), curve, lengths, *limits, double=True)
+    else:
+        finite = np.where(known[:, None, None, None], curve, 0.0), np.where(known[:, None], lengths, 0.0)
+        squares = _driven(drives, *finite, limits, parts)
+        if single and known[0] and np.isnan(squares[0]).any():
+            forces = drive_limits.forces(drives, *finite, parts)
+            raise ValueError(f"time_path: {drive_limits.weakest(drives, forces, parts)}")
+    squares[~known] = np.nan
+    from_rest = lambda x: np.concatenate([np.zeros((len(x), 1)), x], axis=1)
+    since = lambda x: from_rest(np.cumsum(x, axis=1))
+    speed = np.sqrt(from_rest(squares))
+    step, both = np.repeat(lengths / parts, parts, axis=1), speed[:, 1:] + speed[:, :-1]
+    with np.errstate(divide="ignore"):  # limits so small that nothing moves: it takes for ever
+        place, time = since(step), since(np.divide(2.0 * step, both, out=np.zeros_like(both), where=~(step == 0.0)))
+    return Trajectory(path, time, place, speed)
+
+
+@functools.cache
+def _fastest(parts: int, rows: int = 0) -> HostKernel:
+    """The kernel of `fastest`, with `rows` more arrays of limits."""
+    return HostKernel(functools.partial(fastest, parts=parts), 4 + rows)
+
+
+def _driven(limits: Drives, curve: np.ndarray, lengths: np.ndarray, others: Any, parts: int) -> np.ndarray:
+    """Finds (ds/dt)^2 at the ends of parts within limits of torque and power too; NaN where the arm cannot stand still."""
+    forces = drive_limits.forces(limits, curve, lengths, parts)
+    step = np.repeat(lengths / parts, parts, axis=1)
+
+    def fastest_within(most: Drives, at: np.ndarray | None) -> np.ndarray:
+        rows = drive_limits.rows(forces, most, at, step)
+        return in_blocks(_fastest(parts, 4), curve, lengths, *others, *rows, double=True)[0]
+
+    powered, turns = np.isfinite(limits.power).any(), drive_limits.TURNS
+    squares = at = fastest_within(limits, None)
+    for turn in range(turns):
+        before, most = squares, drive_limits.left(forces, limits, squares, step)
+        squares = fastest_within(most, at if powered else None)
+        settled = np.allclose(squares, before, rtol=1e-3, atol=1e-12)
+        if settled and at is before:
+            break
+        at = drive_limits.between(at, squares) if powered and not settled and 2 * turn < turns else squares
+    squares = squares * drive_limits.slowdown(forces, limits, squares, step)[:, None] ** 2
+    squares[~(np.abs(forces.still) < limits.torque).all(axis=(1, 2, 3))] = np.nan  # it cannot stand still
+    return squares
+
+
+def _profiled(profile: str, points: np.ndarray, limits: Limits, jerk: Any, duration: Any, single: bool) -> Trajectory:
+    """A profile through waypoints (N, k, n) within limits (N, n), the `jerk` (n,), one number or None.
+
+    Raises `ValueError` for a jerk and a duration that are not positive or of another shape, a duration that is shorter than the
+    limits allow, and for waypoints of a quintic that are equal to the one before, unless all are.
+    """
+    three = [*limits, limit_of("time_path", "jerk", np.inf if jerk is None else jerk, points.shape[::2])]
+    asked = None if duration is None else numbers("time_path: duration", duration)
+    if asked is not None:
+        if asked.shape not in ((), () if single else (len(points),)) or not (np.isfinite(asked) & (asked > 0.0)).all():
+            allowed = "one number" if single else f"one number or ({len(points)},)"
+            raise ValueError(f"time_path: duration is {shown(duration)}; allowed: {allowed} [s], above zero")
+        asked = np.broadcast_to(asked, len(points))
+    found = _quintic(points, three, single) if profile == "quintic" else _from_rest_to_rest(points, three)
+    return _drawn_out(*found, asked, single)
+
+
+def _quintic(points: np.ndarray, limits: list[np.ndarray], single: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Polynomials (N, k-1, 6, n) over times (N, k-1), and by what these must be multiplied (N,)."""
+    steps = np.abs(np.diff(points, axis=1))
+    needs = np.max([(steps / limit[:, None]) ** (1.0 / order) for order, limit in enumerate(limits, 1)], axis=(0, -1))
+    moves = needs.any(axis=1)
+    if (equal := (needs == 0.0) & moves[:, None]).any():
+        row, same = np.argwhere(equal)[0]
+        where = "" if single else f" of row {row}"
+        raise ValueError(f"time_path: waypoints {same} and {same + 1}{where} are equal; leave one out")
+    known = np.isfinite(needs).all(axis=1)
+    times, slower = np.where(needs > 0.0, needs, 1.0), np.where(known, 0.0, np.nan)
+    curves = np.zeros((*times.shape, 6, points.shape[-1]))
+    curves[..., -1, :] = points[:, :-1]
+    for i in np.flatnonzero(moves & known):
+        curves[i], slower[i] = _smoothest(times[i], points[i], [limit[i] for limit in limits])
+    return curves, times, slower
+
+
+def _smoothest(times: np.ndarray, points: np.ndarray, limits: list[np.ndarray]) -> tuple[np.ndarray, float]:
+    """Coefficients (k-1, 6, n), and by what the times must be multiplied to keep the limits."""
+    from scipy.interpolate import PPoly, make_interp_spline
+
+    knots = np.concatenate([[0.0], np.cumsum(times)])
+    rest = [(order, np.zeros(points.shape[1])) for order in (1, 2)]
+    spline = make_interp_spline(knots, points, 5, bc_type=(rest, rest))
+    pieces = np.stack([spline.derivative(k)(knots[:-1]) / math.factorial(k) for k in range(5, -1, -1)])
+    motion, slower = PPoly(pieces, knots), 0.0
+    for order, limit in enumerate(limits, 1):
+        if np.isinf(limit).all():
+            continue
+        rate, extremes = motion.derivative(order), motion.derivative(order + 1).roots(extrapolate=False)
+        for joint, (roots, most) in enumerate(zip(extremes, limit, strict=True)):
+            greatest = np.max(np.abs(rate(np.concatenate([knots, roots[np.isfinite(roots)]]))[:, joint]))
+            slower = max(slower, float(greatest / most) ** (1.0 / order))
+    return np.moveaxis(pieces, 0, 1), slower
+
+
+def _from_rest_to_rest(points: np.ndarray, limits: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cubics (N, 7 (k-1), 4, n) over the seven phases (N, 7 (k-1)) of each line, which are not to be drawn out."""
+    steps = np.diff(points, axis=1)[:, :, None, None]  # (N, lines, 1, 1, n)
+    with np.errstate(divide="ignore"):  # a joint that does not move has nothing to say
+        most = [np.min(limit[:, None] / np.abs(steps[:, :, 0, 0]), axis=-1) for limit in limits]
+    phases, greatest = _double_s(*most)
+    curves = _integrated(phases, greatest)[..., None] * steps
+    curves[..., -1, :] += points[:, :-1, None]
+    pieces = len(points), 7 * (points.shape[1] - 1)
+    return curves.reshape(*pieces, 4, points.shape[2]), phases.reshape(pieces), np.ones(len(points))
+
+
+def _double_s(velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The times of the seven phases from 0 to 1 (..., 7), and the greatest acceleration (...), where the velocity is reached,
+    and where the way is too short for that. An infinite jerk makes a trapezoid; infinite accelerations take no time."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        ramp_fast = np.fmin(acceleration / jerk, np.sqrt(velocity / jerk))
+        ramp_short = np.fmin(acceleration / jerk, np.cbrt(0.5 / jerk))
+        most_fast, most_short = np.fmin(acceleration, np.sqrt(velocity * jerk)), np.fmin(acceleration, jerk * ramp_short)
+        rise_fast = ramp_fast + velocity / most_fast
+        rise_short = 0.5 * ramp_short + np.sqrt(0.25 * ramp_short**2 + 1.0 / most_short)
+        fast = velocity * rise_fast <= 1.0
+    ramp, rise, most = (
+        np.where(fast, *each) for each in ((ramp_fast, ramp_short), (rise_fast, rise_short), (most_fast, most_short))
+    )
+    level, cruise = np.maximum(0.0, rise - 2.0 * ramp), np.where(fast, np.maximum(0.0, 1.0 / velocity - rise), 0.0)
+    phases = np.stack([ramp, level, ramp, cruise, ramp, level, ramp], axis=-1)
+    still = np.isinf(acceleration)
+    return np.where(still[..., None], 0.0, phases), np.where(still, 0.0, most)
+
+
+def _integrated(phases: np.ndarray, greatest: np.ndarray) -> np.ndarray:
+    """The cubics (..., 7, 4) of the phases."""
+    ramp = phases[..., :1]
+    slope = np.divide(greatest[..., None], ramp, out=np.zeros_like(ramp), where=ramp > 0.0)
+    jerk = slope * [1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0]
+    acceleration = greatest[..., None] * [0.0, 1.0, 1.0, 0.0, 0.0, -1.0, -1.0]
+    before = lambda gained: np.cumsum(gained, axis=-1) - gained
+    velocity = before((acceleration + 0.5 * jerk * phases) * phases)
+    place = before((velocity + (acceleration / 2.0 + jerk * phases / 6.0) * phases) * phases)
+    return np.stack([jerk / 6.0, acceleration / 2.0, velocity, place], axis=-1)
+
+
+def _drawn_out(curves: np.ndarray, times: np.ndarray, slower: np.ndarray, asked: np.ndarray | None, single: bool) -> Trajectory:
+    """Polynomials (N, p, d, n) over `times` (N, p), all drawn out by `slower` (N,), and so long as is asked for."""
+    whole = times.sum(axis=1)
+    least = lasts = slower * whole
+    if asked is not None:
+        if (short := asked < least * (1.0 - 1e-12)).any():
+            row = int(np.argmax(short))
+            where = "" if single else f" of row {row}"
+            raise ValueError(f"time_path: duration {asked[row]:g} s{where}; these limits take {least[row]:.6g} s or more")
+        lasts = np.where(np.isnan(least), np.nan, asked)
+    still = least == 0.0
+    scale = np.divide(lasts, whole, out=np.ones_like(lasts), where=~still)
+    lengths = np.where(still[:, None], lasts[:, None] / times.shape[1], times * scale[:, None])
+    curves = curves / scale[:, None, None, None] ** np.arange(curves.shape[2])[::-1, None]
+    time = np.pad(np.cumsum(lengths, axis=1), ((0, 0), (1, 0)))
+    return Trajectory(JointPath(lengths, curves), time, time, np.ones_like(time))

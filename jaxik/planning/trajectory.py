@@ -21,7 +21,7 @@ from jaxtyping import Float
 from jaxik.checks.arrays import Array, is_known, numbers
 from jaxik.checks.options import check_finite
 from jaxik.kinematics.motion import Motion
-from jaxik.pytree import Pytree
+from jaxik.pytree import Pytree, static
 from jaxik.reasons import Reason
 from jaxik.results import Result
 
@@ -74,7 +74,8 @@ class JointPath(Pytree):
 
 class Trajectory(Result):
     """A path and its timing: at `time` (m,) [s] the way along the path is `place` (m,), which grows at `speed` (m,) [1/s];
-    between these moments the speed is linear in time. Each piece of the path has as many of them as the others.
+    between these moments the speed is linear in time. Each piece of the path has as many of them as the others. `joint_names`
+    are those of the robot, none where it is not known.
 
     Its `reason` is SOLVED; INVALID where the path holds NaN; LIMITS where the drives cannot hold the arm still on its way, or
     the limits let nothing move: it does not end, then. Each of a stack has its own.
@@ -84,6 +85,7 @@ class Trajectory(Result):
     time: Float[Array, "*batch m"]
     place: Float[Array, "*batch m"]
     speed: Float[Array, "*batch m"]
+    joint_names: tuple[str, ...] = static(default=())
     ROW: ClassVar = "motion"
     HELP: ClassVar = _ENDLESS
 
@@ -119,7 +121,7 @@ class Trajectory(Result):
         Traced; `vmap` it over a stack. In float32 an acceleration may be a thousandth of its limit off.
         """
         _check_one("Trajectory.at", self.time)
-        return Motion(*_state(jnp, self, t := jnp.asarray(t)), time=t)
+        return Motion(*_state(jnp, self, t := jnp.asarray(t)), time=t, joint_names=self.joint_names)
 
     def sample(self, dt: float) -> Motion:
         """Samples as a controller takes them: `time` (i,), one a `dt` [s], the last at the end; q, velocity and acceleration
@@ -142,7 +144,7 @@ class Trajectory(Result):
         slower = steps * dt / whole.duration if steps else 1.0
         time = dt * np.arange(steps + 1)
         q, velocity, acceleration = _state(np, whole, np.minimum(time / slower, whole.duration))
-        return Motion(q, velocity / slower, acceleration / slower**2, time)
+        return Motion(q, velocity / slower, acceleration / slower**2, time, joint_names=self.joint_names)
 
 
 def _check_one(who: str, array: Any) -> None:

@@ -33,26 +33,28 @@ Found = tuple[Any, dict[str, Any], list[str]]  # the times (i,), what a file has
 
 
 def save_trajectory(
-    trajectory: Trajectory | Motion, path: str | Path, *, robot: Robot | Sequence[str], dt: float = 0.01
+    trajectory: Trajectory | Motion, path: str | Path, *, robot: Robot | Sequence[str] | None = None, dt: float = 0.01
 ) -> Path:
     """Writes a trajectory, one sample every `dt` [s] (`Trajectory.sample`), or the samples of a `Motion` with its `time`. Host.
 
     The path's ending says how: `.csv` has a column a quantity and joint; `.npz` time (i,), q, velocity and acceleration (i, n),
     and joint_names; `.json` the fields of ROS' `trajectory_msgs/JointTrajectory`. Currents, torsions and external torques of a
     motion are in the first two alone. Rates and accelerations that a motion lacks are those of `smooth`. `robot` is the robot,
-    or its joints' names. Returns the path.
+    or its joints' names; None: those that the motion has itself. Returns the path.
 
-    Raises `ValueError` for another ending, for names that are not one a joint, no text, or twice the same, for a motion
-    without a time, and as `sample` does.
+    Raises `ValueError` for another ending, for names that are not known, not one a joint, no text, or twice the same, for a
+    motion without a time, and as `sample` does.
     """
     who = "save_trajectory"
-    path, names = check_ending(who, path), as_names(f"{who}: robot", robot)
+    path = check_ending(who, path)
     if isinstance(trajectory, Motion):
         trajectory.needed(who, "time")
-        motion = _whole(trajectory)
     else:
         check_kind(who, "trajectory", trajectory, Trajectory)
-        motion = trajectory.sample(dt)
+    if robot is None and not trajectory.joint_names:
+        raise ValueError(f"{who}: {type(trajectory).__name__} without joint_names; give robot=, the robot or its joints' names")
+    names = as_names(f"{who}: robot", trajectory.joint_names if robot is None else robot)
+    motion = _whole(trajectory) if isinstance(trajectory, Motion) else trajectory.sample(dt)
     if motion.q.ndim != 2 or len(names) != motion.q.shape[1]:
         raise ValueError(f"{who}: {len(names)} joint names of q of shape {motion.q.shape}; give one a joint, and one motion")
     if path.suffix.lower() == ".npz":
@@ -142,7 +144,7 @@ def read_motion(path: Path, names: Sequence[str]) -> Motion:
     if (stuck := np.diff(time) <= 0.0).any():
         row = int(np.argmax(stuck)) + 1
         raise ValueError(f"{path}, {places[row]}: time is {time[row]:.12g} after {time[row - 1]:.12g}; it grows [s]")
-    return Motion(time=time, **found)
+    return Motion(time=time, **found, joint_names=tuple(names))
 
 
 def _csv(path: Path, names: Sequence[str]) -> Found:

@@ -24,8 +24,7 @@ from jaxik.kinematics.task import POSE, POSITION, Task
 from jaxik.optimise import programme, splines
 from jaxik.optimise.programme import FAR, Rows
 from jaxik.options import Options, anything, choice, count, flag, instance, number, per_joint
-from jaxik.planning.limits import limit_of, usual
-from jaxik.planning.torque_limits import Drives, drives
+from jaxik.planning.limits import Drives, drives, limit_of, usual
 from jaxik.spatial.algebra import Frame, stack, traced
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
@@ -193,10 +192,10 @@ class Terms:
         self,
         spans: int,
         targets: tuple[Target, ...],
-        extra: np.ndarray | None,
         open_end: bool,
+        extra: np.ndarray | None,
+        used: np.ndarray,
         cautious: bool = False,
-        used: np.ndarray | None = None,
     ) -> programme.Problem:
         """Over so many spans; `extra` (B, spans + 1) [m] is kept beyond the margin at each knot, and of the drives' limits the
         share `used` (B, 1 or spans + 1). Being cautious, a step moves nothing by more than `STRIDE`, and bounds hold between
@@ -208,13 +207,9 @@ class Terms:
         return programme.Problem(
             *(self.options.degree, self.duration / spans, self._rows(spans, cautious), samples, asked, at, count, open_end),
             cautious=self._reaches / STRIDE if cautious and self._robots else None,
-            loads=self._loads if self.drives.limited else None,
-            limit=None if not self.drives.limited else np.ones((1, 1, 1)) if used is None else used[:, :, None],
+            loads=self.loads if self.drives.limited else None,
+            limit=used[:, :, None] if self.drives.limited else None,
         )
-
-    def loads(self, q: np.ndarray, rate: np.ndarray, bend: np.ndarray) -> np.ndarray:
-        """Torques and powers, as shares of their limits, of states (b, k, n): (b, k, m)."""
-        return self._loads(q, rate, bend, np.arange(len(q))).value
 
     def softened(self) -> Terms:
         """The same with obstacles that cost instead of a margin: from within one a motion finds out."""
@@ -307,7 +302,7 @@ class Terms:
         by_distance = -3.0 * share * depth**2 / close, 6.0 * share * depth / close**2
         return programme.Samples(slope, share * depth**3, *by_distance, excess, by_rate)
 
-    def _loads(self, q: np.ndarray, rate: np.ndarray, bend: np.ndarray, _: np.ndarray) -> programme.Loads:
+    def loads(self, q: np.ndarray, rate: np.ndarray, bend: np.ndarray, _: Any = None) -> programme.Loads:
         """Torques and powers of states (b, k, n) as shares of their limits, where these are finite, and their slopes."""
         flat = (x.reshape(-1, x.shape[2]) for x in (q, rate, bend))
         torque, slopes = in_blocks(_torques(self.robot), *flat, fixed=(self.drives.gravity,), double=True)

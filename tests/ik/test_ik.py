@@ -19,7 +19,6 @@ from jaxik import Reason
 from jaxik.ik import sqp_programs
 from jaxik.kinematics import turns
 from jaxik.kinematics.shapes import Volume
-from jaxik.optimise import sqp
 from jaxik.spmd import call as kernels
 
 POSITION = 1e-6  # [m], the default tolerances
@@ -225,7 +224,6 @@ def test_mistakes_are_one_line(panda):
         (lambda: jaxik.solve_ik(panda, eye, collision="soft"), ("soft", "constraint")),
         (lambda: jaxik.Task((False,) * 6), ("at least one",)),
         (lambda: jaxik.Task((True,) * 6, "world"), ("world", "tool")),
-        (lambda: sqp.Options(merit="l2"), ("l2", "augmented_lagrangian")),
     ):
         with pytest.raises(ValueError) as caught:
             call()

@@ -228,7 +228,7 @@ def test_an_empty_batch_has_an_empty_answer(arm, empty):
         ({"velocity": -1.0}, r"plan_motion: velocity .* is -1.0; allowed: one number, or one a joint"),
         ({"velocity": [1.0, 1.0]}, r"plan_motion: velocity of shape \(2,\)"),
         ({"velocity": "fast"}, "velocity .*: str that is no array of numbers"),
-        ({"velocity": np.inf}, "give acceleration="),
+        ({"velocity": np.inf}, "acceleration is infinite; give finite numbers, acceleration="),
         ({"acceleration": np.nan}, "plan_motion: acceleration .* is nan; allowed: one number"),
         ({"start": [[START]]}, r"start of shape \(1, 1, 3\), goal of shape \(3,\); allowed: a start \(3,\) and a goal"),
         ({"timeout": -1.0}, "plan_motion: timeout is -1.0; it is a finite number of at least 0"),

@@ -269,6 +269,23 @@ def test_files_hold_a_log(tmp_path, file):
             save_trajectory(broken, tmp_path / file, robot=robot)
 
 
+def test_a_motion_of_a_robot_knows_its_joints(tmp_path):
+    """A file needs no robot, then; samples, what is read and what is made of these keep the names through jit and vmap."""
+    robot = jaxik.load("planar2")
+    moved = time_path([[[0.0, 1.0], [1.0, 0.0]], [[1.0, 1.0], [0.0, 0.5]]], velocity=1.0, robot=robot)
+    at = jax.jit(jax.vmap(lambda one: one.at(0.1)))(moved)
+    found = load_trajectory(save_trajectory(moved[0], tmp_path / "x.csv"), robot=robot)
+    again = load_trajectory(save_trajectory(smooth(found), tmp_path / "x.json"), robot=robot)
+    for motion in (moved, moved[1], at, moved[0].sample(0.01), found, again, again[2:]):
+        assert motion.joint_names == robot.joint_names
+    other = json.loads(save_trajectory(found, tmp_path / "y.json", robot=["a", "b"]).read_text())
+    assert other["joint_names"] == ["a", "b"]
+    nameless = time_path([[0.0], [1.0]], velocity=1.0)
+    for motion in (nameless, nameless.sample(0.1)):
+        with pytest.raises(ValueError, match=r"^save_trajectory: [TM].* without joint_names; give robot=, the robot or"):
+            save_trajectory(motion, tmp_path / "x.csv")
+
+
 def _torques(robot, moved):
     _, state = _dense(moved, between=7)
     with jax.enable_x64(True):
