@@ -44,9 +44,7 @@ from jaxik.reasons import Reason
 from jaxik.results import Result
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
 from jaxik.spmd import Stepped
-from jaxik.touch.force_law import ForceLaw, LawState
-from jaxik.touch.lowpass import Butterworth
-from jaxik.touch.stiffness import StiffnessEstimator, StiffnessState
+from jaxik.touch.force_law import Butterworth, ForceLaw, LawState, StiffnessEstimator, StiffnessState
 
 Scheme = Literal["baseline", "rmrc", "rac", "feedback", "task", "joint", "multi"]
 LOST = 0.1  # [s] without a force: a contact that comes back sooner, as after a bounce, is the same one
