@@ -1,6 +1,6 @@
 """A person's hand as a device shows it, the devices that anyone has, and the watch that notices when one says nothing.
 
-A game pad, the keyboard of a terminal, a recording: none of them renders forces.
+A game pad and the keyboard of a terminal: neither renders forces.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import select
 import struct
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -187,14 +187,3 @@ class Keyboard(_Silent):
 
             termios.tcsetattr(self._stream, termios.TCSADRAIN, self._before)
             self._before = None
-
-
-class RecordedHand(_Silent):
-    """Hands one after another, as a device: what a recording plays, or a test. None is a moment of silence. Host."""
-
-    def __init__(self, hands: Iterable[Hand | None]):
-        self._hands = iter(hands)
-
-    def read(self) -> Hand | None:
-        """The next, and then nothing."""
-        return next(self._hands, None)

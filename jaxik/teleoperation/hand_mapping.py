@@ -32,11 +32,10 @@ _FASTEST_HAND = 5.0  # [m/s]; beyond it is a device that jumps, and begins anew 
 
 
 class Mapped(NamedTuple):
-    """The reference x_ref (3,) [m] of the hand, of position control where it was last; what was asked of the tip so far, w (3,)
-    [m]; whether the hand moves the arm, and whether it ever did."""
+    """The reference x_ref (3,) [m] of the hand, of position control where it was last; whether the hand moves the arm, and
+    whether it ever did."""
 
     reference: Float[Array, "3"]
-    asked: Float[Array, "3"]
     moves: Bool[Array, ""]
     known: Bool[Array, ""]
 
@@ -44,7 +43,7 @@ class Mapped(NamedTuple):
 class _Mapping(Options):
     def init(self) -> Mapped:
         """Returns the state before the first sample, where the reference is taken. Traced."""
-        return Mapped(jnp.zeros(3), jnp.zeros(3), jnp.zeros((), bool), jnp.zeros((), bool))
+        return Mapped(jnp.zeros(3), jnp.zeros((), bool), jnp.zeros((), bool))
 
 
 class RateControl(_Mapping, who="rate control"):
@@ -65,7 +64,7 @@ class RateControl(_Mapping, who="rate control"):
         moves = active & (state.moves | (size <= self.dead_band))
         speed = jnp.expm1(self.c2 * jnp.maximum(size - self.dead_band, 0.0)) / self.c1
         velocity = jnp.where(moves, away * safe_divide(jnp.minimum(speed, self.fastest), size), 0.0)
-        return Mapped(reference, state.asked + dt * velocity, moves, state.known | active), velocity
+        return Mapped(reference, moves, state.known | active), velocity
 
 
 class PositionControl(_Mapping, who="position control"):
@@ -84,7 +83,7 @@ class PositionControl(_Mapping, who="position control"):
         way = position - state.reference
         follows = active & state.moves & (way @ way <= (_FASTEST_HAND * dt) ** 2)
         velocity = jnp.where(follows, self.workspace * way / dt, 0.0)
-        return Mapped(position, state.asked + dt * velocity, active, state.known | active), velocity
+        return Mapped(position, active, state.known | active), velocity
 
 
 def bounded(vector: Any, most: Any) -> Any:

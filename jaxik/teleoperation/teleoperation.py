@@ -42,10 +42,9 @@ from jaxik.results import Result
 from jaxik.spatial.algebra import safe_divide
 from jaxik.spatial.rotations import rotation_exp, rotation_log
 from jaxik.spmd import Stepped, kernel
-from jaxik.teleoperation.delay_line import DelayLine
 from jaxik.teleoperation.devices import Hand
 from jaxik.teleoperation.hand_mapping import Mapped, PositionControl, RateControl, bounded
-from jaxik.teleoperation.passivity import Channel, Direct, End, Packet, silence
+from jaxik.teleoperation.passivity import Channel, DelayLine, Direct, End, Packet, silence
 from jaxik.teleoperation.reflection import Felt, reflect
 
 
