@@ -1,7 +1,6 @@
 """Steering a robot by hand: devices, mappings, passivity over a delayed channel, and the force that the hand feels."""
 
-from jaxik.teleoperation.devices import Device, GamePad, Hand, Keyboard, Watchdog
-from jaxik.teleoperation.hand_mapping import PositionControl, RateControl
+from jaxik.teleoperation.hand import Device, GamePad, Hand, Keyboard, PositionControl, RateControl, Watchdog
 from jaxik.teleoperation.passivity import DelayLine, PassivityController, WaveVariables
 from jaxik.teleoperation.reflection import reflect
 from jaxik.teleoperation.teleoperation import Teleoperation, TeleoperationCommand

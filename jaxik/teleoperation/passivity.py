@@ -43,7 +43,7 @@ from jaxik.checks.options import check_finite, check_seed
 from jaxik.options import Options, number
 from jaxik.pytree import Pytree, static
 from jaxik.spatial.algebra import safe_divide
-from jaxik.teleoperation.hand_mapping import bounded
+from jaxik.teleoperation.hand import bounded
 
 
 class Packet(NamedTuple):

@@ -5,7 +5,7 @@
     the arm's end     packet --channel--> velocity of the tip --resolution--> rates of the joints
                       contacts --reflection--> force at the tip --channel--> packet
 
-`hand_mapping` has the mappings and `passivity` the channels. Below them `resolve` spends the spare joints on a cost,
+`hand` has the mappings and `passivity` the channels. Below them `resolve` spends the spare joints on a cost,
 inside the joints' limits, with accelerations that are bounded. Clearance, to itself and to a scene, never falls below `margin`:
 its rate is at least -approach (d - margin) [Faverjon and Tournassoud 1987], for which the null space gives way first, then the
 tip, which slides along; and what would still come too near is not done. What the arm cannot do is not asked for
@@ -42,8 +42,7 @@ from jaxik.results import Result
 from jaxik.spatial.algebra import safe_divide
 from jaxik.spatial.rotations import rotation_exp, rotation_log
 from jaxik.spmd import Stepped, kernel
-from jaxik.teleoperation.devices import Hand
-from jaxik.teleoperation.hand_mapping import Mapped, PositionControl, RateControl, bounded
+from jaxik.teleoperation.hand import Hand, Mapped, PositionControl, RateControl, bounded
 from jaxik.teleoperation.passivity import Channel, DelayLine, Direct, End, Packet, silence
 from jaxik.teleoperation.reflection import Felt, reflect
 

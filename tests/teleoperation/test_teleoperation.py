@@ -27,7 +27,7 @@ from jaxik.teleoperation import (
     reflect,
     simulate_teleoperation,
 )
-from jaxik.teleoperation.hand_mapping import bounded
+from jaxik.teleoperation.hand import bounded
 from jaxik.teleoperation.passivity import Direct, silence
 
 DT = 1e-3
