@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from jaxik.checks.options import check_kind
 from jaxik.identification.least_squares import BaseFit, base_fit, physical_fit, repeated
 from jaxik.identification.regression import BaseParameters, Problem, Term, base_parameters, check_terms, posed
-from jaxik.kinematics.drive import Drive, Friction
+from jaxik.kinematics.drive import Drive, Friction, numbers_of
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import INERTIAL, Robot
 from jaxik.options import Options, anything, count, number
@@ -155,22 +155,23 @@ def _identified(
     base = base_parameters(robot, terms=options.terms)
     if (rows := int(problem.counts.sum())) < 2 * len(base):
         raise ValueError(f"identify: {rows} values for {len(base)} unknowns; log a longer motion, twice as many at least")
-    for name, column in zip(robot.joint_names, problem.torque.T, strict=True):
+    springs = numbers_of(robot.drives, lambda d: d.spring_force) if robot.drives else 0.0
+    for name, column in zip(robot.joint_names, (problem.torque - springs).T, strict=True):
         if not column.any():
             raise ValueError(f"identify: the torque of {name} is 0 in all rows; a dead channel tells nothing, log it again")
     fit = base_fit(problem, base, known, options.rounds, told)
     told(options.rounds)
-    found = physical_fit(problem, fit.curve, fit.noise, known, options.prior, options.steps)
-    mass, own = (float(np.sum(x.reshape(-1, INERTIAL)[:, 0])) for x in (found.bodies, known))
+    bodies, friction, residual, settled = physical_fit(problem, fit.curve, fit.noise, known, options.prior, options.steps)
+    mass, own = (float(np.sum(x.reshape(-1, INERTIAL)[:, 0])) for x in (bodies, known))
     strange = _unlike(problem, fit, known) or (own > 0.0 and not own / HEAVY <= mass <= own * HEAVY)
-    settled = found.settled and fit.settled and arrived(found.residual, fit.noise, problem.torque)
+    settled = settled and fit.settled and arrived(residual, fit.noise, problem.torque)
     return IdentifyResult(
-        robot=_with_friction(robot.with_parameters(found.bodies.ravel()), found.friction, fit.curve.stribeck),
+        robot=_with_friction(robot.with_parameters(bodies.ravel()), friction, fit.curve.stribeck),
         base=base,
         value=fit.value,
         std=fit.std,
         condition=fit.condition,
-        residual=found.residual,
+        residual=residual,
         rows=problem.counts.sum(axis=0),
         reason=verdict(fit.condition > options.condition, settled, strange),
     )

@@ -267,25 +267,21 @@ class Bodies:
         return pseudo.reshape(-1, 16) @ FROM_PSEUDO, np.swapaxes(moved.reshape(-1, 10, 16) @ FROM_PSEUDO, 1, 2)
 
 
-class Found(NamedTuple):
-    """Parameters of bodies (n, 10), each term of the friction (n,), the root mean square of what is left (n,), and whether the
-    search came to an end."""
+def physical_fit(
+    problem: Problem, curve: Curve, noise: np.ndarray, known: np.ndarray, prior: float, steps: int
+) -> tuple[np.ndarray, dict[Term, np.ndarray], np.ndarray, bool]:
+    """Fits from the `known` bodies' parameters (10 n,) on; residuals count by the `noise` (n,), coordinates by the `prior`.
 
-    bodies: np.ndarray
-    friction: dict[Term, np.ndarray]
-    residual: np.ndarray
-    settled: bool
-
-
-def physical_fit(problem: Problem, curve: Curve, noise: np.ndarray, known: np.ndarray, prior: float, steps: int) -> Found:
-    """Fits from the `known` bodies' parameters (10 n,) on; residuals count by the `noise` (n,), coordinates by the `prior`."""
+    Returns parameters of bodies (n, 10), each term of the friction (n,), the root mean square of what is left (n,), and whether
+    the search came to an end.
+    """
     columns, _, torque, joint = problem.rows(curve)
     bounded = np.repeat([term != "asymmetry" for term in problem.terms], len(noise))
     bodies, friction, settled = nearest_bodies(columns, torque, 1.0 / noise[joint], known, bounded, prior, steps)
     off = columns @ np.append(bodies, friction) - torque
     residual = np.sqrt(np.bincount(joint, off**2) / problem.counts.sum(axis=0))
     coefficients = friction.reshape(len(problem.terms), len(noise))
-    return Found(bodies, dict(zip(problem.terms, coefficients, strict=True)), residual, settled)
+    return bodies, dict(zip(problem.terms, coefficients, strict=True)), residual, settled
 
 
 def nearest_bodies(

@@ -65,12 +65,6 @@ def body_columns(robot: Robot, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarra
         return _regressors(robot)(q, qdot, qddot)[0]
 
 
-def names(robot: Robot, terms: Sequence[Term]) -> list[str]:
-    """Names all columns: ten a body, then each term for all joints."""
-    bodies = [f"{name}({joint})" for joint in robot.joint_names for name in BODY]
-    return [*bodies, *(f"{term}({joint})" for term in terms for joint in robot.joint_names)]
-
-
 def friction_columns(
     terms: Sequence[Term], ratio: np.ndarray, qdot: np.ndarray, qddot: np.ndarray, load: np.ndarray, stribeck: np.ndarray
 ) -> np.ndarray:
@@ -126,10 +120,12 @@ def base_parameters(robot: Robot, *, terms: Sequence[Term] = (), seed: int = 0) 
     qdot, qddot, load = rng.normal(size=(3, rows, n))
     friction = friction_columns(terms, ratios(robot), qdot, qddot, load, np.ones(n))
     columns = side_by_side(body_columns(robot, q, qdot, qddot), friction)
-    return combinations(columns.reshape(rows * n, -1), names(robot, terms))
+    called = [f"{name}({joint})" for joint in robot.joint_names for name in BODY]
+    called += [f"{term}({joint})" for term in terms for joint in robot.joint_names]
+    return _combinations(columns.reshape(rows * n, -1), called)
 
 
-def combinations(columns: np.ndarray, called: Sequence[str]) -> BaseParameters:
+def _combinations(columns: np.ndarray, called: Sequence[str]) -> BaseParameters:
     """The base parameters of a matrix's columns; a body's mass is after its moments, so that it is added to what is inward."""
     triangle = np.asarray(np.linalg.qr(columns, mode="r"))
     order = sorted(range(len(called)), key=lambda i: (i // 10, called[i].startswith("m(")))
@@ -155,13 +151,10 @@ def combinations(columns: np.ndarray, called: Sequence[str]) -> BaseParameters:
 def _word(row: np.ndarray, kept: int, called: Sequence[str]) -> str:
     """A combination in words: what is kept, and the largest of what is added to it."""
     others = [i for i in np.argsort(-np.abs(row).round(6), kind="stable") if row[i] and i != kept]
-    sums = [f"{'-' if row[i] < 0 else '+'} {_factor(abs(row[i]))}{called[i]}" for i in sorted(others[:WORDS])]
+    factor = lambda value: "" if abs(value - 1.0) < SMALL else f"{value:.4g} "
+    sums = [f"{'-' if row[i] < 0 else '+'} {factor(abs(row[i]))}{called[i]}" for i in sorted(others[:WORDS])]
     rest = [f"+ {len(others) - WORDS} more"] if len(others) > WORDS else []
     return " ".join([called[kept], *sums, *rest])
-
-
-def _factor(value: float) -> str:
-    return "" if abs(value - 1.0) < SMALL else f"{value:.4g} "
 
 
 def joined(

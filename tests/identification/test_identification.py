@@ -368,3 +368,6 @@ def test_a_dead_channel_is_named(dead, six):
     silent[:, dead] = 0.0
     with pytest.raises(ValueError, match=f"the torque of {SIX.joint_names[dead.start]} is 0 in all rows; a dead channel"):
         identify(SIX, Motion(*wave, torque=silent), terms=())
+    sprung = SIX.with_drives([Drive(spring_force=5.0)] * len(SIX.joint_names))  # what springs give is no measurement
+    with pytest.raises(ValueError, match="a dead channel tells nothing"):
+        identify(sprung, Motion(*wave, torque=silent), terms=())
