@@ -24,15 +24,7 @@ from jaxik.checks.options import check_kind
 from jaxik.dynamics.actuation import torque_of_current
 from jaxik.dynamics.recursions import inverse_dynamics, regressor
 from jaxik.identification.fit import HEAVY, MOST, FitResult, LogOptions, arrived, as_slow, verdict, with_errors
-from jaxik.identification.least_squares import (
-    EXACT,
-    FROM_PSEUDO,
-    TO_PSEUDO,
-    condition,
-    nearest_bodies,
-    repeated,
-    weighted_fit,
-)
+from jaxik.identification.least_squares import EXACT, FROM_PSEUDO, TO_PSEUDO, condition, nearest_bodies, repeated, weighted_fit
 from jaxik.identification.regression import joined
 from jaxik.kinematics.drive import numbers_of
 from jaxik.kinematics.motion import Motion
