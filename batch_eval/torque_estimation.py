@@ -19,13 +19,13 @@ from typing import Any
 
 import jax
 import numpy as np
+from papers.alarms import Judged, judge_alarms
 from race import machine
 from torque_logs import CREEP, DT, JUDGED, MEASUREMENTS, OFF, SENSORS, TUNED, WIDTH, arms, friction_band, logs, model
 from torque_pictures import draw
 
 from jaxik.estimation import (
     Detector,
-    Judged,
     MomentumObserver,
     Played,
     Push,
@@ -33,7 +33,6 @@ from jaxik.estimation import (
     TorqueFilter,
     estimate,
     fit_detector,
-    judge_alarms,
     play,
 )
 from jaxik.kinematics import Motion

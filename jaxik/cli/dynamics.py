@@ -18,9 +18,8 @@ from jaxik.cli.arguments import RobotArguments
 from jaxik.cli.results import check_writable, writing
 from jaxik.dynamics.actuation import friction_torque, motor_current
 from jaxik.dynamics.recursions import gravity_torque, inverse_dynamics
-from jaxik.kinematics.motion import Motion
+from jaxik.kinematics.motion import Motion, smooth
 from jaxik.kinematics.robot import Robot, beyond_limits
-from jaxik.kinematics.smoothing import smooth
 from jaxik.planning.trajectory_files import check_ending, read_motion
 
 ROUNDED = 1e-3  # [rad, m] beyond its limits that a joint may be, as files are rounded

@@ -32,7 +32,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import as_numbers
 from jaxik.kinematics.drive import column
-from jaxik.kinematics.robot import Robot, need_drives
+from jaxik.kinematics.robot import Robot, as_joint_numbers, need_drives
 from jaxik.spmd import kernel
 
 Vector = Float[jax.Array, " n"]
@@ -47,23 +47,14 @@ class _Law(NamedTuple):
     spring: Any
 
 
-def _of_joints(who: str, name: str, robot: Robot, given: Any) -> jax.Array:
-    """Returns one number a joint, as floats."""
-    values = as_numbers(f"{who}: {name}", given, (robot.num_joints,))
-    return values.astype(jnp.result_type(values, float)) if values.dtype.kind != "f" else values
-
-
-def _sign(x: Any, width: Any) -> Any:
-    return jnp.where(width > 0.0, jnp.tanh(x / jnp.where(width > 0.0, width, 1.0)), jnp.sign(x))
-
-
 def _law(who: str, robot: Robot, qdot: Any, width: Any) -> _Law:
-    drives, qdot = need_drives(who, robot), _of_joints(who, "qdot", robot, qdot)
+    drives, qdot = need_drives(who, robot), as_joint_numbers(f"{who}: qdot", robot, qdot)
     width = as_numbers(f"{who}: width", width, (), (robot.num_joints,)).astype(qdot.dtype)
     of = lambda get: column(drives, get, qdot.dtype)
     ratio, at_motor = of(lambda d: d.ratio), np.array([d.friction.side == "motor" for d in drives])
     r = jnp.where(at_motor, ratio, 1.0)
-    v, s = r * qdot, _sign(qdot, width)
+    v = r * qdot
+    s = jnp.where(width > 0.0, jnp.tanh(qdot / jnp.where(width > 0.0, width, 1.0)), jnp.sign(qdot))
     coulomb, breakaway = of(lambda d: d.friction.coulomb), of(lambda d: d.friction.breakaway)
     stribeck = (breakaway - coulomb) / (1.0 + (v / of(lambda d: d.friction.stribeck_velocity)) ** 2)
     backward, forward = (of(lambda d, i=i: d.friction.correction[i]) for i in (0, 1))
@@ -83,7 +74,7 @@ def friction_torque(robot: Robot, qdot: Vector, torque: Vector, *, width: Any = 
     `qdot` (n,) [rad/s, m/s]; `width` rounds off its sign (the same units, one for all or one a joint; 0, or less: the printed
     laws). Raises `ValueError` for a robot without drives. Source: Schuetz 2017, (3.13) to (3.16).
     """
-    law, torque = _law("friction_torque", robot, qdot, width), _of_joints("friction_torque", "torque", robot, torque)
+    law, torque = _law("friction_torque", robot, qdot, width), as_joint_numbers("friction_torque: torque", robot, torque)
     return -(law.fixed + law.share * jnp.abs(torque))
 
 
@@ -93,7 +84,7 @@ def motor_current(robot: Robot, torque: Vector, qdot: Vector, *, width: Any = 0.
 
     `qdot` and `width` are those of `friction_torque`. Raises `ValueError` as that does. Source: Schuetz 2017, (3.11).
     """
-    law, torque = _law("motor_current", robot, qdot, width), _of_joints("motor_current", "torque", robot, torque)
+    law, torque = _law("motor_current", robot, qdot, width), as_joint_numbers("motor_current: torque", robot, torque)
     return (torque + law.fixed + law.share * jnp.abs(torque) - law.spring) / law.gain
 
 
@@ -104,7 +95,7 @@ def torque_of_current(robot: Robot, current: Vector, qdot: Vector, *, width: Any
     It is NaN for a drive that locks itself: friction takes more of the load than there is, so the current does not decide the
     torque. `qdot` and `width` are those of `friction_torque`. Raises `ValueError` as that does.
     """
-    law, current = _law("torque_of_current", robot, qdot, width), _of_joints("torque_of_current", "current", robot, current)
+    law, current = _law("torque_of_current", robot, qdot, width), as_joint_numbers("torque_of_current: current", robot, current)
     moving = law.gain * current + law.spring - law.fixed
     return moving / jnp.where(jnp.abs(law.share) < 1.0, 1.0 + law.share * jnp.sign(moving), jnp.nan)
 
@@ -115,7 +106,7 @@ def friction_band(robot: Robot, torque: Vector) -> Vector:
 
     Raises `ValueError` for a robot without drives. Source: Schuetz 2017, table 3.9.
     """
-    drives, torque = need_drives("friction_band", robot), _of_joints("friction_band", "torque", robot, torque)
+    drives, torque = need_drives("friction_band", robot), as_joint_numbers("friction_band: torque", robot, torque)
     of = lambda get: column(drives, get, torque.dtype)
     r = of(lambda d: d.ratio if d.friction.side == "motor" else 1.0)
     return r * (of(lambda d: d.friction.breakaway) + of(lambda d: d.friction.load) * jnp.abs(torque))

@@ -6,7 +6,8 @@ folds, and by the joint's own.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -96,15 +97,10 @@ def _outer(a: Vec3, b: Vec3) -> Rot3:
 
 def _symmetric(*summed: Rot3) -> Rot3:
     """Sums tensors to a symmetric one, half of which is computed."""
-    x, y, z = (Vec3(*(_sum(t[i][j] for t in summed) if j >= i else 0.0 for j in range(3))) for i in range(3))
+    x, y, z = (
+        Vec3(*(functools.reduce(add, (t[i][j] for t in summed), 0.0) if j >= i else 0.0 for j in range(3))) for i in range(3)
+    )
     return Rot3(x, Vec3(x.y, y.y, y.z), Vec3(x.z, y.z, z.z))
-
-
-def _sum(scalars: Iterable[Scalar]) -> Scalar:
-    total: Scalar = 0.0
-    for each in scalars:
-        total = add(total, each)
-    return total
 
 
 def placed(robot: Robot, q: Sequence[Scalar], dtype: Any) -> list[Placed]:

@@ -1,15 +1,13 @@
 """External torque from motor currents and torsions, alarms, and a simulated plant to try them on."""
 
-from jaxik.estimation.detection import Detector, Judged, fit_detector, judge_alarms
+from jaxik.estimation.detection import Detector, fit_detector
 from jaxik.estimation.estimator import Estimator, estimate
-from jaxik.estimation.momentum_observer import MomentumObserver
 from jaxik.estimation.plant import Played, PlayOptions, Push, play
-from jaxik.estimation.torque_estimation import TorqueEstimator, TorqueFilter
+from jaxik.estimation.torque_estimation import MomentumObserver, TorqueEstimator, TorqueFilter
 
 __all__ = [
     "Detector",
     "Estimator",
-    "Judged",
     "MomentumObserver",
     "PlayOptions",
     "Played",
@@ -18,6 +16,5 @@ __all__ = [
     "TorqueFilter",
     "estimate",
     "fit_detector",
-    "judge_alarms",
     "play",
 ]

@@ -8,7 +8,7 @@ added to the threshold.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -99,40 +99,6 @@ def _of_joints(name: str, given: Any, n: int) -> np.ndarray:
             f"fit_detector: {name} is {shown(given)}; allowed: one number, or one for each of {n} joints, 0 or more"
         )
     return np.broadcast_to(values, n)
-
-
-class Judged(NamedTuple):
-    """How good alarms are: `false_alarms` that begin without a contact, and the time [s] that was without one; of each contact
-    the `delay` [s] until the first alarm, NaN where there is none."""
-
-    false_alarms: int
-    free_time: float
-    delay: Float[np.ndarray, " c"]
-
-
-def judge_alarms(alarms: Any, contact: Any, dt: float, *, after: float = 0.0) -> Judged:
-    """Alarms (t,) against where there is a contact (t,), `dt` [s] apart; an alarm up to `after` [s] behind a contact's end is
-    still of it. Host. Raises `ValueError` for shapes that do not fit, and for times below 0."""
-    check_finite("judge_alarms", 1e-9, dt=dt)
-    check_finite("judge_alarms", 0.0, after=after)
-    alarms, contact = np.asarray(alarms, bool), np.asarray(contact, bool)
-    if alarms.shape != contact.shape or alarms.ndim != 1:
-        raise ValueError(f"judge_alarms: alarms of shape {alarms.shape}, contact of {contact.shape}; allowed: (t,) both")
-    begins, ends = _edges(contact)
-    late = round(after / dt)
-    of_contact = contact.copy()
-    for end in ends:
-        of_contact[end : end + late] = True
-    raised, _ = _edges(alarms & ~of_contact)
-    spans = [alarms[begin:end] for begin, end in zip(begins, ends, strict=True)]
-    delay = np.array([dt * np.argmax(span) if span.any() else np.nan for span in spans])
-    return Judged(len(raised), dt * float((~of_contact).sum()), delay)
-
-
-def _edges(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where each run of what is true begins, and the sample behind its end."""
-    steps = np.diff(flags.astype(int), prepend=0, append=0)
-    return np.flatnonzero(steps > 0), np.flatnonzero(steps < 0)
 
 
 def _pair(who: str, external: Any, velocity: Any) -> tuple[np.ndarray, np.ndarray]:

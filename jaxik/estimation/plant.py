@@ -21,9 +21,9 @@ from jaxik.checks.arrays import numbers
 from jaxik.checks.options import check_finite, check_kind, check_seed, no_such, optional, shown
 from jaxik.dynamics.actuation import friction_torque, motor_current
 from jaxik.dynamics.recursions import GRAVITY, inverse_dynamics, mass_matrix
-from jaxik.kinematics.drive import Drive
+from jaxik.kinematics.drive import numbers_of
 from jaxik.kinematics.motion import Motion
-from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.robot import Robot, need_drives
 from jaxik.options import Options, anything, count, number
 from jaxik.planning import Trajectory
 from jaxik.pytree import Pytree
@@ -137,47 +137,32 @@ def play(
     check_seed("play", seed)
     for name, arm in (("robot", robot), ("model", model)):
         check_kind("play", name, arm, Robot)
+        need_drives("play", arm)
     arm, on_bodies = mujoco_model(robot, options.dt), [_on_body(robot, push) for push in pushes]
     asked = _with_rests([motions] if isinstance(motions, Trajectory) else motions, options)
     if asked.q.shape[1] != robot.num_joints:
         raise ValueError(f"play: the motion has {asked.q.shape[1]} joints; {robot.name} has {robot.num_joints}")
     controller = _controller(model, asked, options)
     q, velocity, current, external, torque, gear = _simulated(mujoco, arm, robot, controller, on_bodies, asked, progress)
-    torsion = gear / _of_drives(robot, lambda d: d.stiffness)
+    torsion = gear / numbers_of(robot.drives, lambda d: d.stiffness)
     q, velocity, current, torsion = _measured(options, seed, q, current, torsion)
     both = {"time": asked.time, "current": current, "torsion": torsion, "torque": torque, "external": external}
     return Played(Motion(*asked.state, **both), Motion(q, velocity, asked.acceleration, **both))
-
-
-class _Controller(NamedTuple):
-    """Currents (k, n) [A] that a model asks for at each moment, and those for an error of the joint values [A/rad, A/m] and of
-    the rates [A s/rad, A s/m], each (n,)."""
-
-    forward: np.ndarray
-    per_error: np.ndarray
-    per_rate: np.ndarray
-
-
-def _of_drives(robot: Robot, get: Callable[[Drive], Any]) -> np.ndarray:
-    """A number of every drive (n,). Raises `ValueError` for a robot without drives."""
-    if not robot.drives:
-        raise ValueError(f"play: {robot.name} has no drives; use robot.with_drives")
-    return np.array([get(drive) for drive in robot.drives], float)
 
 
 def _simulated(
     mujoco: Any,
     arm: Any,
     robot: Robot,
-    controller: _Controller,
-    pushes: Sequence[_OnBody],
+    controller: tuple[np.ndarray, np.ndarray, np.ndarray],
+    pushes: Sequence[tuple[int, np.ndarray, Push]],
     desired: Motion,
     progress: Callable[[int, int], None] | None,
 ) -> np.ndarray:
     """q, rates, currents, what pushes do to the joints, what the drives do, and what the gears carry of it, (6, k, n)."""
     t = desired.time
     forward, per_error, per_rate = controller
-    gain, spring = _of_drives(robot, lambda d: d.torque_per_current), _of_drives(robot, lambda d: d.spring_force)
+    gain, spring = (numbers_of(robot.drives, of) for of in (lambda d: d.torque_per_current, lambda d: d.spring_force))
     friction = HostKernel(lambda qdot, torque: friction_torque(robot, qdot, torque), 2)
     found, data = np.empty((6, len(t), robot.num_joints)), mujoco.MjData(arm)
     q, qdot, current, external, torque, gear = found
@@ -213,9 +198,10 @@ def _with_rests(motions: Sequence[Trajectory], options: PlayOptions) -> Motion:
     return Motion(q, velocity, acceleration, options.dt * np.arange(len(q)))
 
 
-def _controller(model: Robot, desired: Motion, options: PlayOptions) -> _Controller:
-    """Controllers of joints that are to move as `desired`, by what the model says of them."""
-    gain = _of_drives(model, lambda d: d.torque_per_current)
+def _controller(model: Robot, desired: Motion, options: PlayOptions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Controllers of joints that are to move as `desired`, by what the model says of them: currents (k, n) [A] at each moment,
+    and those for an error of the joint values [A/rad, A/m] and of the rates [A s/rad, A s/m], each (n,)."""
+    gain = numbers_of(model.drives, lambda d: d.torque_per_current)
 
     def asked(q: Any, qdot: Any, qddot: Any) -> Any:
         return motor_current(model, inverse_dynamics(model, q, qdot, qddot), qdot)
@@ -223,31 +209,24 @@ def _controller(model: Robot, desired: Motion, options: PlayOptions) -> _Control
     (forward,) = HostKernel(asked, 3).run(*desired.state, double=True)
     (inertia,) = HostKernel(lambda q: jnp.diagonal(mass_matrix(model, q)), 1).run(desired.q[:1], double=True)
     stiff = options.frequency**2 * inertia[0] / gain
-    return _Controller(forward, stiff, 2.0 * options.damping / options.frequency * stiff)
+    return forward, stiff, 2.0 * options.damping / options.frequency * stiff
 
 
-class _OnBody(NamedTuple):
-    """A push, by the body of MuJoCo that it acts on."""
-
-    body: int
-    point: np.ndarray
-    push: Push
-
-
-def _on_body(robot: Robot, push: Push) -> _OnBody:
+def _on_body(robot: Robot, push: Push) -> tuple[int, np.ndarray, Push]:
+    """The body of MuJoCo that a push acts on, and the point (3,) [m] in its frame."""
     if push.link not in robot.link_names:
         raise ValueError(no_such("push", "link", push.link, robot.link_names))
     link, point = robot.link_names.index(push.link), numbers("push: point", push.point, (3,))
     if not callable(push.force):
         push = push._replace(force=numbers("push: force", push.force, (3,)))
     # the world, the base and then a body a joint
-    return _OnBody(1 + robot.link_joint[link], (np.asarray(robot.link_offset[link]) @ [*point, 1.0])[:3], push)
+    return 1 + robot.link_joint[link], (np.asarray(robot.link_offset[link]) @ [*point, 1.0])[:3], push
 
 
-def _pushed(mujoco: Any, model: Any, data: Any, pushes: Sequence[_OnBody], t: float) -> np.ndarray:
+def _pushed(mujoco: Any, model: Any, data: Any, pushes: Sequence[tuple[int, np.ndarray, Push]], t: float) -> np.ndarray:
     """Returns what the pushes do to the joints (n,) now, by MuJoCo's own Jacobian."""
     total = np.zeros(model.nv)
-    active = [each for each in pushes if each.push.start <= t < each.push.end]
+    active = [each for each in pushes if each[2].start <= t < each[2].end]
     if active:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)

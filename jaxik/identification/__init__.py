@@ -2,8 +2,8 @@
 
 from jaxik.identification.excitation import ExciteOptions, ExciteResult, excite
 from jaxik.identification.fit import IdentifyOptions, IdentifyResult, identify
-from jaxik.identification.identifiable import BaseParameters, base_parameters
 from jaxik.identification.payload import IdentifyLoadOptions, IdentifyLoadResult, identify_load
+from jaxik.identification.regression import BaseParameters, base_parameters
 
 __all__ = [
     "BaseParameters",

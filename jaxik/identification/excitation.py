@@ -6,7 +6,11 @@ The scale s_j is the largest at which the joint keeps its limits of position, ve
 coefficients and of shares 0 < u_j <= 1 is a motion that the robot can make [Swevers et al. 1997, whose limits are constraints].
 Most is told where log det(A' A) is largest, A being the base parameters' columns: no parameter's scale changes where that is.
 What comes near an obstacle, or the robot itself, costs, and more from round to round; the last resort, where that does not
-suffice, is the same motion in small (`clear_motion`).
+suffice, is the same motion in small. The cost is the sum over samples and links of
+
+    max(0, 1 - (d - margin) / NEAR)^2,    d the link's clearance
+
+and that a motion is clear is proven: of straight motions between samples, which keep as much more as a bent one may be off.
 """
 
 from __future__ import annotations
@@ -15,15 +19,17 @@ import itertools
 from collections.abc import Callable
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import check_collision, check_kind, check_seed
+from jaxik.collision.bvh import grouped
+from jaxik.collision.clearances import check_geometry, link_contacts
 from jaxik.collision.scene import Scene
-from jaxik.identification.base_fit import condition
-from jaxik.identification.clear_motion import ClearSpace
-from jaxik.identification.identifiable import (
+from jaxik.identification.least_squares import condition
+from jaxik.identification.regression import (
     Term,
     base_parameters,
     body_columns,
@@ -35,9 +41,13 @@ from jaxik.identification.identifiable import (
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
 from jaxik.options import Options, anything, count, flag, number
+from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.reasons import Reason
 from jaxik.results import Result
+from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.host import host_kernels
 
+NEAR = 0.03  # [m] beyond the margin, where a link begins to cost
 STEP = 1e-6  # of finite differences, in units of the limits
 LEAST = 1e-12  # of the largest singular value
 FINER = 10  # samples among which a limit is held at last, for one of the search
@@ -97,6 +107,46 @@ class ExciteResult(Result):
 
     def _told(self) -> str:
         return f"{self.why}; condition number {self.condition:.0f}, errors smaller by {self.gain:.2f} than of the best start"
+
+
+class ClearSpace:
+    """The room of one robot in one scene, with `margin` [m]; configurations are rows (k, n).
+
+    Raises `ValueError` for a robot without shapes.
+    """
+
+    def __init__(self, robot: Robot, scene: Scene | None, margin: float):
+        try:
+            check_geometry(robot)
+        except ValueError as error:
+            raise ValueError(f"excite: {error}; or write collision=False for a motion that may hit") from None
+        self.robot, self.margin, self.around = robot, margin, grouped(scene, robot)
+        self.checker = CollisionChecker(robot, scene, margin)
+
+    def nearness(self, q: np.ndarray) -> tuple[float, np.ndarray]:
+        """The cost, and its derivative (k, n)."""
+        apart, slopes = self._contacts(q)
+        depth = np.maximum(1.0 - (apart - self.margin) / NEAR, 0.0)
+        return float(np.sum(depth**2)), np.asarray(np.einsum("kl,kln->kn", -2.0 / NEAR * depth, slopes))
+
+    def room(self, q: np.ndarray) -> np.ndarray:
+        """Returns how much more than the margin each configuration keeps (k,) [m]."""
+        return np.asarray(self._contacts(q)[0].min(axis=1, initial=np.inf) - self.margin)
+
+    def keeps(self, q: np.ndarray, dt: float, acceleration: float) -> bool:
+        """Whether a motion through these `dt` [s] apart, and back to the first, keeps the margin at all times."""
+        sag = np.sum(self.checker.weights) * acceleration * dt**2 / 8.0  # an arc's height over its chord
+        return bool(self.checker.proven(q, np.roll(q, -1, axis=0), np.full(len(q), sag)).all())
+
+    def _contacts(self, q: np.ndarray) -> list[np.ndarray]:
+        return in_blocks(_link_contacts(self.robot), q, fixed=(self.around,), double=True)
+
+
+@host_kernels(1)
+def _link_contacts(robot: Robot, q: Any, around: Any) -> Any:
+    """Each link's clearance (l,) and its slopes (l, n)."""
+    apart, slopes = link_contacts(robot, around, q)
+    return apart, jnp.stack(slopes, axis=-1)
 
 
 def _series(times: np.ndarray, period: float, harmonics: int) -> np.ndarray:
@@ -221,7 +271,7 @@ def excite(
     options = ExciteOptions.chosen(options, changes)
     check_collision("excite", options.collision, scene, options.margin)
     _check_moves(robot)
-    space = ClearSpace("excite", robot, scene, options.margin) if options.collision else None
+    space = ClearSpace(robot, scene, options.margin) if options.collision else None
     with threadpool_limits(1, "blas"):  # matrices are small, and threads would wait for each other
         search = _Search(robot, space, _middle(robot, space, options, seed), options)
         return _excited(search, options, seed, progress)

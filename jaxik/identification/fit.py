@@ -15,11 +15,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from jaxik.checks.options import check_kind
-from jaxik.identification.base_fit import BaseFit, base_fit, repeated
-from jaxik.identification.identifiable import BaseParameters, Term, base_parameters, check_terms
-from jaxik.identification.physical_fit import physical_fit
-from jaxik.identification.problem import Problem, check_alive, posed
-from jaxik.kinematics.drive import Drive, Friction
+from jaxik.identification.least_squares import BaseFit, base_fit, physical_fit, repeated
+from jaxik.identification.regression import BaseParameters, Problem, Term, base_parameters, check_terms, posed
+from jaxik.kinematics.drive import Drive, Friction, numbers_of
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import INERTIAL, Robot
 from jaxik.options import Options, anything, count, number
@@ -157,19 +155,23 @@ def _identified(
     base = base_parameters(robot, terms=options.terms)
     if (rows := int(problem.counts.sum())) < 2 * len(base):
         raise ValueError(f"identify: {rows} values for {len(base)} unknowns; log a longer motion, twice as many at least")
-    check_alive("identify", robot, problem.torque)
+    springs = numbers_of(robot.drives, lambda d: d.spring_force) if robot.drives else 0.0
+    for name, column in zip(robot.joint_names, (problem.torque - springs).T, strict=True):
+        if not column.any():
+            raise ValueError(f"identify: the torque of {name} is 0 in all rows; a dead channel tells nothing, log it again")
     fit = base_fit(problem, base, known, options.rounds, told)
     told(options.rounds)
-    found = physical_fit(problem, fit.curve, fit.noise, known, options.prior, options.steps)
-    strange = _unlike(problem, fit, known) or _far(*(np.sum(x.reshape(-1, INERTIAL)[:, 0]) for x in (found.bodies, known)))
-    settled = found.settled and fit.settled and arrived(found.residual, fit.noise, problem.torque)
+    bodies, friction, residual, settled = physical_fit(problem, fit.curve, fit.noise, known, options.prior, options.steps)
+    mass, own = (float(np.sum(x.reshape(-1, INERTIAL)[:, 0])) for x in (bodies, known))
+    strange = _unlike(problem, fit, known) or (own > 0.0 and not own / HEAVY <= mass <= own * HEAVY)
+    settled = settled and fit.settled and arrived(residual, fit.noise, problem.torque)
     return IdentifyResult(
-        robot=_with_friction(robot.with_parameters(found.bodies.ravel()), found.friction, fit.curve.stribeck),
+        robot=_with_friction(robot.with_parameters(bodies.ravel()), friction, fit.curve.stribeck),
         base=base,
         value=fit.value,
         std=fit.std,
         condition=fit.condition,
-        residual=found.residual,
+        residual=residual,
         rows=problem.counts.sum(axis=0),
         reason=verdict(fit.condition > options.condition, settled, strange),
     )
@@ -186,20 +188,20 @@ def verdict(unexcited: bool, settled: bool, strange: bool) -> Reason:
     return Reason.UNEXPLAINED if strange else reason if settled else Reason.NOT_CONVERGED
 
 
+def as_slow(repeats: np.ndarray, qdot: np.ndarray) -> np.ndarray:
+    """Whether what is left, the same in so many rows (n,), changes as slowly as a motion of the rates (k, n): noise does not,
+    filtered or not."""
+    return np.asarray(repeats > max(FRESH, SLOW * float(np.median(repeated(qdot, np.ones_like(qdot))))))
+
+
 def _unlike(problem: Problem, fit: BaseFit, known: np.ndarray) -> bool:
     """Whether more is left of some joint's torque than noise leaves. Noise may be most of what a joint shows that has little to
     carry, as a last one: then the known bodies ask for little there, too."""
     share = fit.noise / np.sqrt(np.mean(problem.torque**2, axis=0))
     asked = np.sqrt(np.mean((problem.bodies @ known) ** 2, axis=0))
-    moved = np.median(repeated(problem.qdot, np.ones_like(problem.counts)))
-    stands = (share > MOST) & (fit.repeats > max(FRESH, SLOW * moved))
+    stands = (share > MOST) & as_slow(fit.repeats, problem.qdot)
     drowned = share > ALL
     return bool(np.any(stands | (drowned & (asked > BURIED * fit.noise))) or np.all(drowned))
-
-
-def _far(found: float, known: float) -> bool:
-    """Whether bodies weigh another order of magnitude than those that are known, if any are."""
-    return bool(known > 0.0 and not known / HEAVY <= found <= known * HEAVY)
 
 
 def _with_friction(robot: Robot, friction: dict[Term, np.ndarray], stribeck: np.ndarray) -> Robot:

@@ -12,7 +12,6 @@ to which what the logs do not tell stays like a ball of water.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,20 +23,18 @@ from threadpoolctl import threadpool_limits
 from jaxik.checks.options import check_kind
 from jaxik.dynamics.actuation import torque_of_current
 from jaxik.dynamics.recursions import inverse_dynamics, regressor
-from jaxik.identification.base_fit import EXACT, condition, repeated, weighted_fit
-from jaxik.identification.fit import FRESH, HEAVY, MOST, SLOW, FitResult, LogOptions, arrived, verdict, with_errors
-from jaxik.identification.physical_fit import FROM_PSEUDO, TO_PSEUDO, nearest_bodies
-from jaxik.identification.problem import joined
+from jaxik.identification.fit import HEAVY, MOST, FitResult, LogOptions, arrived, as_slow, verdict, with_errors
+from jaxik.identification.least_squares import EXACT, FROM_PSEUDO, TO_PSEUDO, condition, nearest_bodies, repeated, weighted_fit
+from jaxik.identification.regression import joined
+from jaxik.kinematics.drive import numbers_of
 from jaxik.kinematics.motion import Motion
-from jaxik.kinematics.robot import INERTIAL, Robot, steiner
-from jaxik.reasons import Reason
+from jaxik.kinematics.robot import ENTRIES, INERTIAL, TENSOR, Robot, steiner
 from jaxik.spmd.host import host_kernels
 
 APART = 0.1  # [rad, m] by which two logs of one motion may differ, for a load bends an arm
 TELLING = 0.1  # of the torques: less may be friction that was another in the second log, and no order of columns
 LIGHTEST = 1e-3  # [kg] that a load is looked for around
 WATER = 1000.0  # [kg/m3]
-TENSOR = np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])  # where a body's parameters have its inertia
 
 
 class IdentifyLoadOptions(LogOptions, who="identify_load"):
@@ -89,34 +86,33 @@ def identify_load(
     check_kind("identify_load", "robot", robot, Robot)
     options = IdentifyLoadOptions.chosen(options, changes)
     q, qdot, qddot, torque = joined(robot, loaded, "identify_load")
-    missing, counts = _missing(robot, q, qdot, qddot, torque), np.abs(qdot) >= options.slowest
+    with jax.enable_x64(True):
+        missing, counts = np.array(_beyond(robot)(q, qdot, qddot, torque)[0]), np.abs(qdot) >= options.slowest
+        columns = _regressors(robot)(q, qdot, qddot)[0] @ _of_tip(np.asarray(robot.joint_T_tip))
     if empty is not None:
         others = joined(robot, empty, "identify_load: empty")
         _check_one_motion(robot, q, others[0])
-        missing -= _missing(robot, *others)
+        with jax.enable_x64(True):
+            missing -= np.asarray(_beyond(robot)(*others)[0])
         counts &= (np.abs(others[1]) >= options.slowest) & (qdot * others[1] >= 0.0)
     counts &= np.isfinite(missing)  # a drive that locks itself says nothing
     if (rows := int(counts.sum())) < 2 * INERTIAL:
         mend = "log a longer motion; of torques measured behind friction write slowest=0"
         raise ValueError(f"identify_load: {rows} values faster than slowest={options.slowest:g}; {mend}")
-    with jax.enable_x64(True):
-        columns = _regressors(robot)(q, qdot, qddot)[0] @ _of_tip(np.asarray(robot.joint_T_tip))
     with threadpool_limits(1, "blas"):
-        found, strange = _found(columns, missing, counts, torque, qdot, options)
-    strange |= 0.0 < HEAVY * sum(float(body.mass) for body in robot.bodies) < found.mass
-    return dataclasses.replace(found, reason=Reason.UNEXPLAINED) if strange else found
+        return _found(robot, columns, missing, counts, torque, qdot, options)
 
 
 def _found(
+    robot: Robot,
     columns: np.ndarray,
     missing: np.ndarray,
     counts: np.ndarray,
     torque: np.ndarray,
     qdot: np.ndarray,
     options: IdentifyLoadOptions,
-) -> tuple[IdentifyLoadResult, bool]:
-    """The load, and whether it is no load that is between the logs: of Y (k, n, 10), Y phi (k, n), which rows count (k, n), and
-    the torques and the rates (k, n)."""
+) -> IdentifyLoadResult:
+    """The load, of Y (k, n, 10), Y phi (k, n), which rows count (k, n), and the torques and the rates (k, n)."""
     usual = np.sqrt(np.mean(torque**2, axis=0))
     rows, joint = np.maximum(counts.sum(axis=0), 1), np.nonzero(counts)[1]
     whole, columns, missing = (columns, missing), columns[counts], missing[counts]
@@ -131,7 +127,9 @@ def _found(
     repeats = repeated(left, counts)
     mass_std, com_std, inertia_std = _split(fit.std(repeats, _slope(bodies[0])))
     excited = condition(columns[:, :4])
-    found = IdentifyLoadResult(
+    strange = _unlike(left, np.where(counts, whole[1], 0.0), np.where(counts, torque, 0.0), qdot, repeats)
+    strange |= 0.0 < HEAVY * sum(float(body.mass) for body in robot.bodies) < mass
+    return IdentifyLoadResult(
         mass=float(mass),
         com=com,
         inertia=inertia,
@@ -141,16 +139,13 @@ def _found(
         condition=excited,
         residual=residual,
         rows=counts.sum(axis=0),
-        reason=verdict(excited > options.condition, settled and arrived(residual, fit.noise, torque), False),
+        reason=verdict(excited > options.condition, settled and arrived(residual, fit.noise, torque), strange),
     )
-    return found, _unlike(left, np.where(counts, whole[1], 0.0), np.where(counts, torque, 0.0), qdot, repeats)
 
 
 def _unlike(left: np.ndarray, missing: np.ndarray, torque: np.ndarray, qdot: np.ndarray, repeats: np.ndarray) -> bool:
-    """Whether what is `left` (k, n) of what the logs are apart, `missing`, is much, and changes as slowly as the motion: noise
-    does not, filtered or not."""
-    most = repeats[np.argmax(np.sum(left**2, axis=0))]
-    slow = most > max(FRESH, SLOW * float(np.median(repeated(qdot, np.ones_like(qdot)))))
+    """Whether what is `left` (k, n) of what the logs are apart, `missing`, is much, and changes as slowly as the motion."""
+    slow = as_slow(repeats[np.argmax(np.sum(left**2, axis=0))], qdot)
     size = float(np.linalg.norm(left))
     return bool(slow and size > MOST * np.linalg.norm(missing) and size > TELLING * np.linalg.norm(torque))
 
@@ -166,17 +161,11 @@ def _check_one_motion(robot: Robot, q: np.ndarray, other: np.ndarray) -> None:
         raise ValueError(f"identify_load: {where}, allowed: {APART:g}; {mend}")
 
 
-def _missing(robot: Robot, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """Returns what the drives give behind friction beyond what the model asks for (k, n)."""
-    with jax.enable_x64(True):
-        return np.array(_beyond(robot)(q, qdot, qddot, torque)[0])
-
-
 @host_kernels(4)
 def _beyond(robot: Robot, q: Any, qdot: Any, qddot: Any, torque: Any) -> Any:
+    """What the drives give behind friction beyond what the model asks for (n,)."""
     if robot.drives:
-        gain = np.array([float(drive.torque_per_current) for drive in robot.drives])
-        springs = np.array([float(drive.spring_force) for drive in robot.drives])
+        gain, springs = (numbers_of(robot.drives, of) for of in (lambda d: d.torque_per_current, lambda d: d.spring_force))
         torque = torque_of_current(robot, (torque - springs) / gain, qdot)
     return torque - inverse_dynamics(robot, q, qdot, qddot)
 
@@ -199,7 +188,7 @@ def _ball(told: np.ndarray) -> np.ndarray:
     com = np.clip(told[1:4] / mass, -1.0, 1.0)
     radius = (mass / WATER * 3.0 / (4.0 * np.pi)) ** (1.0 / 3.0)
     inertia = steiner(mass, com) + 0.4 * mass * radius**2 * np.eye(3)
-    return np.array([mass, *(mass * com), *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+    return np.array([mass, *(mass * com), *(inertia[entry] for entry in ENTRIES)])
 
 
 def _as_body(parameters: np.ndarray) -> np.ndarray:

@@ -3,10 +3,9 @@
 from jaxik.kinematics.forward import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
 from jaxik.kinematics.joint_turns import turns
 from jaxik.kinematics.link_distance_table import PairTable
-from jaxik.kinematics.motion import Motion
+from jaxik.kinematics.motion import Motion, smooth
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.shapes import Box, ConvexPart, Surface, Unchecked, Volume
-from jaxik.kinematics.smoothing import smooth
 from jaxik.kinematics.task import Task
 
 __all__ = [

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.kinematics.robot import Robot
+from jaxik.spatial.rotations import about
 
 TOLERANCE = 1e-5  # [m, rad] within which axes count as parallel or meeting: files round right angles to 1.5708
 OBLIQUE = 1e-3  # [rad] by which axes that must not be parallel are apart
@@ -73,8 +74,7 @@ class Axes(NamedTuple):
             for angle, h, p in zip(q, self.h, points / length, strict=True):
                 axis, point = turn @ h, turn @ p + place
                 columns.append(np.concatenate([np.cross(point, axis), axis]))
-                cross = np.cross(np.eye(3), h)
-                turn = turn @ (np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
+                turn = turn @ about(h, angle)
                 place = point - turn @ p
             values = np.linalg.svd(np.array(columns), compute_uv=False)
             ratios.append(values[5] / values[0])

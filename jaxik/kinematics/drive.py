@@ -130,3 +130,8 @@ def column(drives: Sequence[Drive], of: Callable[[Drive], Any], dtype: Any) -> A
     values = [of(drive) for drive in drives]
     known = not any(isinstance(x, jax.Array) for x in values)
     return np.array(values, dtype) if known else jnp.stack([jnp.asarray(x, dtype) for x in values])
+
+
+def numbers_of(drives: Sequence[Drive], of: Callable[[Drive], Any]) -> np.ndarray:
+    """A known number of every drive (n,), in float64. Host."""
+    return np.array([float(of(drive)) for drive in drives])

@@ -107,14 +107,14 @@ def stored(bounds: np.ndarray) -> bytes:
     return np.clip(np.floor(bounds / STEP), -32768, 32767).astype("<i2").tobytes()
 
 
-def packed(bounds: bytes) -> str:
-    """Stored bounds as a word in a text file."""
-    return base64.b64encode(zlib.compress(bounds, 9)).decode()
+def packed(content: bytes, level: int = 9) -> str:
+    """Stored bounds, or other bytes, as a word in a text file."""
+    return base64.b64encode(zlib.compress(content, level)).decode()
 
 
-def unpacked(word: str) -> bytes:
-    """Returns the bounds that were `packed`. Raises `ValueError` for other words."""
+def unpacked(word: str, what: str = "bounds", most: int = MOST) -> bytes:
+    """Returns the bytes that were `packed`, the first `most` of them. Raises `ValueError` for other words."""
     try:
-        return zlib.decompressobj().decompress(base64.b64decode(word, validate=True), MOST)
+        return zlib.decompressobj().decompress(base64.b64decode(word, validate=True), most)
     except zlib.error:
-        raise ValueError("no packed bounds") from None
+        raise ValueError(f"no packed {what}") from None

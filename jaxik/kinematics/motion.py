@@ -1,7 +1,8 @@
-"""Joints over time: the one container of what a motion does, or of what a log has measured."""
+"""Joints over time: the one container of what a motion does, or of what a log has measured, and a log without its noise."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -9,8 +10,13 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import Array
+from jaxik.checks.arrays import Array, numbers
+from jaxik.checks.options import check_finite, check_kind
 from jaxik.pytree import Pytree, static
+
+ORDER = 4  # of the filter, each way
+EVEN = 1e-3  # of a period: samples that are so even stay as they are
+SETTLED = 3.0  # periods of the cutoff, in which what the filter makes of an end has died away
 
 if TYPE_CHECKING:  # a type checker lets what a motion has be used without a question whether it has it
     Joints = Any
@@ -62,3 +68,61 @@ class Motion(Pytree):
         if (given := getattr(self, name)) is None:
             raise ValueError(f"{who}: the motion has no {name}; give Motion(..., {name}=)")
         return given
+
+
+def smooth(motion: Motion, *, cutoff: float | None = None) -> Motion:
+    """Returns a log below the frequency `cutoff` [Hz], without delay, and with the derivatives that it lacks. Host.
+
+    A Butterworth filter of fourth order goes over each quantity forwards and backwards, so that of a frequency f there stays
+
+        1 / (1 + (f / cutoff)^8)
+
+    half of it at the cutoff; take one some times as high as the motion's own frequencies. Times that are not even are made so
+    by a cubic spline before. `velocity` and `acceleration`, where the log has none, are derivatives of cubic splines. Some
+    `3 / cutoff` seconds at both ends know less than the rest: leave them out of a log. Without a cutoff nothing is filtered.
+
+    The motion is (k, n), with its `time` (k,) [s]. Raises `ValueError` for times that do not grow, arrays of other shapes, what
+    is not finite, and a cutoff that is not below half of the samples' frequency. Source: Butterworth, On the theory of filter
+    amplifiers, 1930; SciPy's `sosfiltfilt`.
+    """
+    check_kind("smooth", "motion", motion, Motion)
+    given = {name: x for name, x in vars(motion).items() if x is not None or name in ("q", "time")}
+    known: dict[str, Any] = {name: numbers(f"smooth: {name}", x) for name, x in given.items() if name != "joint_names"}
+    time = known.pop("time")
+    grows = time.ndim == 1 and len(time) > 1 and (np.diff(time) > 0.0).all()
+    for name, x in known.items():
+        if not grows or x.ndim != 2 or x.shape != known["q"].shape or len(x) != len(time):
+            allowed = "allowed: (k,) that grow, k >= 2, and (k, n), the same for all"
+            raise ValueError(f"smooth: time of shape {time.shape}, {name} of shape {x.shape}; {allowed}")
+        if not (np.isfinite(time).all() and np.isfinite(x).all()):
+            raise ValueError(f"smooth: time or {name} holds what is not finite; leave these samples out")
+    if cutoff is not None:
+        period = float(time[-1] - time[0]) / (len(time) - 1)
+        check_finite("smooth", cutoff=cutoff)
+        if not 0.0 < cutoff < 0.5 / period:
+            half = f"above 0, below half of the {1.0 / period:.4g} samples a second"
+            raise ValueError(f"smooth: cutoff is {cutoff:g} Hz; it is {half}")
+        known = {name: _low_pass(time, x, float(cutoff), period) for name, x in known.items()}
+    for before, name in (("q", "velocity"), ("velocity", "acceleration")):
+        if name not in known:
+            known[name] = _slope(time, known[before])
+    return dataclasses.replace(motion, time=time, **known)
+
+
+def _slope(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """How fast values (k, ...) change at their times (k,), by a cubic spline through them."""
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(time, values).derivative()(time))
+
+
+def _low_pass(time: np.ndarray, values: np.ndarray, cutoff: float, period: float) -> np.ndarray:
+    from scipy.interpolate import CubicSpline
+    from scipy.signal import butter, sosfiltfilt
+
+    even = np.linspace(time[0], time[-1], len(time))
+    as_they_are = np.abs(even - time).max() < EVEN * period
+    resampled = values if as_they_are else CubicSpline(time, values)(even)
+    before = min(len(time) - 1, int(np.ceil(SETTLED / (cutoff * period))))
+    clean = sosfiltfilt(butter(ORDER, cutoff, fs=1.0 / period, output="sos"), resampled, axis=0, padlen=before)
+    return np.asarray(clean if as_they_are else CubicSpline(even, clean)(time))

@@ -22,7 +22,7 @@ from jaxik.checks.arrays import Array, as_given, as_numbers, check_mass, is_know
 from jaxik.checks.options import check_kind, shown
 from jaxik.kinematics.drive import Drive, column
 from jaxik.kinematics.link_distance_table import PairTable
-from jaxik.kinematics.shapes import Box, ConvexPart, Surface, Unchecked, Volume, hashed
+from jaxik.kinematics.shapes import Box, ConvexPart, Surface, Unchecked, Value, Volume, hashed
 from jaxik.pytree import Constant, static
 
 JointType = Literal["revolute", "continuous", "prismatic"]
@@ -59,7 +59,7 @@ class Body(Constant):
         return Body(mass, com, inertia)
 
 
-class Robot(Constant):
+class Robot(Value, Constant):
     """A serial chain of n movable joints from a base to a tip; fixed joints are fused away.
 
     `parent_T_joint[i]` is the frame of joint i at q_i = 0 in the (moved) frame of joint i-1, the base frame for i = 0.
@@ -208,8 +208,7 @@ class Robot(Constant):
         bodies = []
         for row in rows:
             mass, com = row[:1].reshape(()), row[1:4] / (row[0] + (row[0] == 0.0))
-            inertia = row[np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])]
-            bodies.append(Body(mass, com, inertia - steiner(mass, com)))
+            bodies.append(Body(mass, com, row[TENSOR] - steiner(mass, com)))
         return dataclasses.replace(self, bodies=tuple(bodies))
 
     def torsion(self, torque: Any) -> Float[Array, " n"]:
@@ -219,8 +218,7 @@ class Robot(Constant):
         Traced. Raises `ValueError` for a robot without drives. Source: Schuetz 2017, (3.17), which prints the difference the
         other way round, and q_motor without its ratio.
         """
-        drives, torque = need_drives("torsion", self), as_numbers("torsion: torque", torque, (self.num_joints,))
-        torque = torque.astype(jnp.result_type(torque, float)) if torque.dtype.kind != "f" else torque
+        drives, torque = need_drives("torsion", self), as_joint_numbers("torsion: torque", self, torque)
         return torque / column(drives, lambda d: d.stiffness, torque.dtype)
 
     def with_spheres(self, per_box: int) -> Robot:
@@ -299,12 +297,6 @@ class Robot(Constant):
         leaves, tree = jax.tree_util.tree_flatten(self)
         return hashed(tree, leaves)
 
-    def __hash__(self) -> int:
-        return hash(self.digest)
-
-    def __eq__(self, other: object) -> bool:
-        return self is other or (isinstance(other, Robot) and self.digest == other.digest)
-
 
 # what a robot has of each joint
 _NUMBERS = ("parent_T_joint", "axis", "lower", "upper", "velocity", "effort", "armature")
@@ -313,6 +305,7 @@ _OF_JOINTS = ("joint_names", "joint_types", *_NUMBERS, "bodies", "drives")
 
 INERTIAL = 10  # parameters of a body
 ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # of its inertia, in their order
+TENSOR = np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])  # where these are among the parameters
 
 
 def need_bodies(who: str, robot: Robot) -> None:
@@ -399,4 +392,13 @@ def as_configuration(robot: Robot, q: Any) -> Float[Array, " n"]:
             f"q has shape {q.shape}; {robot.name} takes one configuration of shape ({robot.num_joints},) "
             f"[{', '.join(robot.joint_names)}]; for a batch use jax.vmap"
         )
-    return q if jnp.issubdtype(q.dtype, jnp.floating) else q.astype(jnp.result_type(float))
+    return _floats(q)
+
+
+def as_joint_numbers(what: str, robot: Robot, given: Any) -> Float[Array, " n"]:
+    """One number a joint (n,), as floats. Raises `ValueError` for another shape."""
+    return _floats(as_numbers(what, given, (robot.num_joints,)))
+
+
+def _floats(x: jax.Array) -> jax.Array:
+    return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(jnp.result_type(float))

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import dataclasses
 import functools
 import hashlib
 import itertools
 import math
-import zlib
 from collections.abc import Iterable
 from typing import Any, Literal
 
@@ -18,6 +16,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, numbers
 from jaxik.checks.options import shown
+from jaxik.kinematics.link_distance_table import packed, unpacked
 from jaxik.pytree import Constant, read_only, static
 
 MOST = 2**30  # bytes of a packed surface
@@ -44,7 +43,7 @@ class Volume(Constant):
     link: int = static()
 
 
-class _Value:
+class Value:
     """An object that is known by its `digest`, a hash of everything in it: equal numbers, equal object."""
 
     digest: Any
@@ -57,7 +56,7 @@ class _Value:
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class ConvexPart(_Value):
+class ConvexPart(Value):
     """A convex part of a link: the hull of `corners` (c, 3) [m] in the frame of the link's joint, and what is within `radius`
     [m] of it. All of a link's together hold its shapes, and decide where its volumes are too near to tell; `geometry` says
     which volumes these are (`link_geometry`): the parts know nothing of others. A value: equal numbers, equal part."""
@@ -98,7 +97,7 @@ class Unchecked:
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class Surface(_Value):
+class Surface(Value):
     """Triangles of a link, `corners` (t, 3, 3) [m] in the frame of the link's joint, and what is within `radius` (t,) [m] of
     them. `shape` (t,) is the number of the shape that each belongs to, from 0 on in order; `solid` (t,) whether that shape
     closes, and so has an inside. A value: equal numbers, equal surface."""
@@ -153,15 +152,12 @@ class Surface(_Value):
         places, number = np.unique(self.corners.reshape(-1, 3), axis=0, return_inverse=True)
         head = np.array([len(places), len(self.corners)], np.int64)
         parts = head, places, number.reshape(-1).astype(np.int32), self.radius, self.solid, self.shape
-        return base64.b64encode(zlib.compress(b"".join(part.tobytes() for part in parts), 6)).decode()
+        return packed(b"".join(part.tobytes() for part in parts), 6)
 
     @staticmethod
     def unpacked(link: int, word: str) -> Surface:
         """Returns the surface that was `packed`. Raises `ValueError` for other words."""
-        try:
-            content = zlib.decompressobj().decompress(base64.b64decode(word, validate=True), MOST)
-        except zlib.error:
-            raise ValueError("no packed surface") from None
+        content = unpacked(word, "surface", MOST)
         corners, triangles = (int(n) for n in np.frombuffer(content, np.int64, 2))
         sizes = [16, 24 * corners, 12 * triangles, 8 * triangles, triangles, 4 * triangles]
         if min(corners, triangles) < 1 or len(content) != sum(sizes):

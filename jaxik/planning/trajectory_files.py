@@ -14,8 +14,7 @@ import numpy as np
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import among, check_kind, shown
-from jaxik.kinematics import smoothing
-from jaxik.kinematics.motion import Motion
+from jaxik.kinematics.motion import Motion, smooth
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.trajectory import Trajectory
 
@@ -124,7 +123,7 @@ def load_trajectory(path: str | Path, *, robot: Robot | Sequence[str], smooth: f
 def _whole(motion: Motion, cutoff: float | None = None) -> Motion:
     """The motion with rates and accelerations."""
     missing = motion.velocity is None or motion.acceleration is None
-    return smoothing.smooth(motion, cutoff=cutoff) if missing or cutoff is not None else motion
+    return smooth(motion, cutoff=cutoff) if missing or cutoff is not None else motion
 
 
 def read_motion(path: Path, names: Sequence[str]) -> Motion:

@@ -1,9 +1,7 @@
 """Steering a robot by hand: devices, mappings, passivity over a delayed channel, and the force that the hand feels."""
 
-from jaxik.teleoperation.delay_line import DelayLine
-from jaxik.teleoperation.devices import Device, GamePad, Hand, Keyboard, Watchdog
-from jaxik.teleoperation.hand_mapping import PositionControl, RateControl
-from jaxik.teleoperation.passivity import PassivityController, WaveVariables
+from jaxik.teleoperation.hand import Device, GamePad, Hand, Keyboard, PositionControl, RateControl, Watchdog
+from jaxik.teleoperation.passivity import DelayLine, PassivityController, WaveVariables
 from jaxik.teleoperation.reflection import reflect
 from jaxik.teleoperation.teleoperation import Teleoperation, TeleoperationCommand
 from jaxik.teleoperation.teleoperation_simulation import TeleoperationResult, simulate_teleoperation

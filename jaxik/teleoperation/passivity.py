@@ -23,20 +23,27 @@ force at the hand's end and on the velocity at the arm's.
 
 Sums are those of the samples: a device holds its force for a sample while the hand moves on, and makes up to f v dt of its own,
 which its friction has to take [Colgate and Schenkel 1997].
+
+`DelayLine` is a network as these see it: packets come late, each by its own time, some of them after those that were sent
+later.
 """
 
 from __future__ import annotations
 
 from math import inf
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Float
+import numpy as np
+from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import Array
+from jaxik.checks.arrays import Array, is_known, numbers
+from jaxik.checks.options import check_finite, check_seed
 from jaxik.options import Options, number
+from jaxik.pytree import Pytree, static
 from jaxik.spatial.algebra import safe_divide
-from jaxik.teleoperation.hand_mapping import bounded
+from jaxik.teleoperation.hand import bounded
 
 
 class Packet(NamedTuple):
@@ -62,39 +69,10 @@ def silence() -> Packet:
     return Packet(jnp.zeros(3), jnp.zeros(()))
 
 
-class Channel(Protocol):
+class Channel(Options):
     """A channel that `Teleoperation` takes: both ends of the way between hand and arm, pure and traced. Forces (3,) [N] are
     those on the hand and on the arm, velocities (3,) [m/s]."""
 
-    def init(self) -> End:
-        """One end, before anything was sent."""
-        ...
-
-    def release(self, end: End, arrived: Packet) -> End:
-        """Returns the arm's end without what it has not played yet."""
-        ...
-
-    def hand(self, end: End, arrived: Packet, velocity: Any, dt: float) -> tuple[End, Packet, Any]:
-        """The hand's velocity in; what is sent to the arm, and the force on the hand."""
-        ...
-
-    def arm(
-        self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0, fastest: float = inf
-    ) -> tuple[End, Any]:
-        """The force on the arm in; the velocity that its tip is to have, at most `fastest` [m/s]. What has arrived is made up
-        for in the time `smoothing` [s]."""
-        ...
-
-    def share(self, end: End, force: Any, moved: Any, dt: float) -> Any:
-        """Returns what share of the velocity that the arm would have `moved` with, which its limits may change, it may have."""
-        ...
-
-    def reply(self, end: End, force: Any, velocity: Any, moved: Any, dt: float) -> tuple[End, Packet]:
-        """Returns what is sent to the hand after the arm was told `velocity` and has `moved`."""
-        ...
-
-
-class _Channel(Options):
     def init(self) -> End:
         """Returns one end, before anything was sent. Traced."""
         return End(silence(), silence(), jnp.zeros(3), jnp.zeros(()))
@@ -103,12 +81,28 @@ class _Channel(Options):
         """Returns the arm's end without what it has not played yet. Traced."""
         return end._replace(played=Packet(arrived.values, end.played.energy), now=jnp.zeros(3))
 
+    def hand(self, end: End, arrived: Packet, velocity: Any, dt: float) -> tuple[End, Packet, Any]:
+        """Takes the hand's velocity in; returns what is sent to the arm, and the force on the hand. Traced."""
+        raise NotImplementedError
+
+    def arm(
+        self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0, fastest: float = inf
+    ) -> tuple[End, Any]:
+        """Takes the force on the arm in; returns the velocity that its tip is to have, at most `fastest` [m/s]. What has
+        arrived is made up for in the time `smoothing` [s]. Traced."""
+        raise NotImplementedError
+
     def share(self, end: End, force: Any, moved: Any, dt: float) -> Any:
-        """Returns 1, all of it. Traced."""
+        """Returns what share of the velocity that the arm would have `moved` with, which its limits may change, it may have.
+        Traced."""
         return 1.0
 
+    def reply(self, end: End, force: Any, velocity: Any, moved: Any, dt: float) -> tuple[End, Packet]:
+        """Returns what is sent to the hand after the arm was told `velocity` and has `moved`. Traced."""
+        raise NotImplementedError
 
-class Direct(_Channel, who="channel"):
+
+class Direct(Channel, who="channel"):
     """Velocity and force as they are: no method, what the others are measured against, and enough where nothing is late.
 
     The velocity's integral travels, so that a lost packet costs no way. The hand feels the arm's force, and its own command as
@@ -172,7 +166,7 @@ def _counted(end: End, entered: Any) -> End:
     return end._replace(sent=sent, played=played)
 
 
-class WaveVariables(_Channel, who="wave variables"):
+class WaveVariables(Channel, who="wave variables"):
     """Waves of the impedance b."""
 
     impedance: float = number(
@@ -241,3 +235,74 @@ def _sent(end: End, wave: Any, dt: float) -> End:
 
 def _added(so_far: Packet, wave: Any, dt: float) -> Packet:
     return Packet(so_far.values + dt * wave, so_far.energy + 0.5 * dt * wave @ wave)
+
+
+class Underway(NamedTuple):
+    """The last packets that were sent, each leaf (k, ...), and the samples (k,) in which each arrives; how many were sent; and
+    what was there before the first."""
+
+    packets: Any
+    arrival: Int[Array, " k"]
+    sent: Int[Array, ""]
+    before: Any
+
+
+class DelayLine(Pytree):
+    """Packets arrive `delay` [s] after they were sent, and up to `jitter` [s] later, evenly distributed. What is received is
+    the newest packet that has arrived: one that was overtaken is lost.
+
+    `longest` [s] is the longest time that a packet may take, for delays that are traced; `seed` is that of the jitter.
+    Raises `ValueError` for numbers below zero or not finite, and for traced ones without `longest`.
+    """
+
+    delay: Float[Array, ""] | float = 0.0
+    jitter: Float[Array, ""] | float = 0.0
+    longest: float | None = static(default=None)
+    seed: int = static(default=0)
+
+    def __post_init__(self) -> None:
+        check_seed("delay line", self.seed)
+        if is_known((self.delay, self.jitter)):
+            late = [float(numbers("delay line: delay, jitter", x, ())) for x in (self.delay, self.jitter)]
+            if not (np.isfinite(late).all() and min(late) >= 0.0):
+                raise ValueError(f"delay line: delay {late[0]:g} s, jitter {late[1]:g} s; allowed: finite, at least 0")
+            longest = sum(late) if self.longest is None else self.longest
+            check_finite("delay line", longest=longest)
+            if longest < sum(late):
+                raise ValueError(
+                    f"delay line: longest {longest:g} s; allowed: finite, at least delay + jitter, {sum(late):g} s"
+                )
+        elif self.longest is None:
+            raise ValueError("delay line: a traced delay needs `longest` [s]; give the longest that a packet may take")
+        else:
+            longest = self.longest
+            check_finite("delay line", 0.0, longest=longest)
+        object.__setattr__(self, "longest", float(longest))
+
+    def _slots(self, dt: float) -> int:
+        return int(np.ceil(self.longest / dt - 1e-9))  # type: ignore[operator]
+
+    def init(self, packet: Any, dt: float) -> Underway | None:
+        """An empty line, out of which `packet` comes until the first arrives; None where nothing is late. Traced."""
+        count = self._slots(dt) + 1
+        if count == 1:
+            return None
+        ring = jax.tree_util.tree_map(lambda x: jnp.zeros((count, *jnp.shape(x)), jnp.result_type(x)), packet)
+        return Underway(ring, jnp.full(count, np.iinfo(np.int32).max, jnp.int32), jnp.zeros((), jnp.int32), packet)
+
+    def step(self, state: Underway | None, packet: Any, dt: float) -> tuple[Underway | None, Any]:
+        """Sends a packet, and gives the one that is received in this sample, dt [s] after the last. Traced."""
+        if state is None:
+            return None, packet
+        count, now = len(state.arrival), state.sent
+        late = jax.random.uniform(jax.random.fold_in(jax.random.key(self.seed), now))
+        samples = jnp.round((self.delay + self.jitter * late) / dt).astype(jnp.int32)
+        slot = now % count
+        packets = jax.tree_util.tree_map(lambda ring, x: ring.at[slot].set(x), state.packets, packet)
+        arrival = jnp.asarray(state.arrival).at[slot].set(now + jnp.clip(samples, 0, count - 1))
+        # each slot holds the packet that was sent so many samples ago
+        since = (slot - jnp.arange(count)) % count
+        newest = jnp.argmin(jnp.where(arrival <= now, since, count))
+        some = jnp.any(arrival <= now)
+        got = jax.tree_util.tree_map(lambda ring, x: jnp.where(some, ring[newest], x), packets, state.before)
+        return Underway(packets, arrival, now + 1, state.before), got

@@ -1,14 +1,13 @@
-"""The force that a hand is to feel of the arm: its contacts, and how it likes its own posture [Schuetz 2017, sec. 3.1.4].
+"""The force that a hand is to feel of the arm's contacts [Schuetz 2017, sec. 3.1.4].
 
     power       F_t = (J#)' T_ext,          T_ext = sum J_c' F
     lever       F_t = J S T_ext                                                                               (3.2)
     magnitude   F_t = |F| times the direction of (3.2), of each contact                                       (3.3)
-    cost        F_s = -J S dH/dq                                                                              (3.4)
 
 The first is the force at the tip that does the work of the contacts, whatever the motion that the task asks for: that of a
 contact at the tip is itself, as far as it can move the arm, and energy that is made or lost is that of the contacts. The
 thesis' own, J being the tip's translational Jacobian, add torques to forces: S weighs a revolute joint by 1 / length^2, for a
-`length` [m] of the arm's size. Its (3.4) has no minus, and would push up the cost.
+`length` [m] of the arm's size.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import Array
 from jaxik.checks.options import check_choices, check_finite
-from jaxik.costs import Cost, check_cost
 from jaxik.dynamics.point_force import PointForce, as_point_forces, check_joint, point_torque
 from jaxik.kinematics.forward import jacobian
 from jaxik.kinematics.robot import Robot, as_configuration
@@ -82,17 +80,6 @@ def _pushes(rows: Any, torque: Any) -> Any:
 
 
 _REGULAR = 1e-6  # of the moment's square: an idle part below is that of the solution's last digits
-
-
-def reflect_cost(
-    robot: Robot, q: Float[Array, " n"], cost: Cost, *, gain: float = 1.0, length: float = 1.0
-) -> Float[jax.Array, "3"]:
-    """Returns the force (3,) [N] at the tip that leads down a `cost` of the posture, (3.4), `gain` [N] a unit of it, in base
-    axes. Traced. Raises `ValueError` for a length that is not above zero."""
-    check_finite("reflect_cost", 1e-9, length=length)
-    q = as_configuration(robot, q)
-    check_cost("reflect_cost", cost, robot.num_joints)
-    return -gain * _towards(robot, q, length) @ jax.grad(cost)(q)
 
 
 def _towards(robot: Robot, q: Any, length: float) -> Any:

@@ -5,7 +5,7 @@
     the arm's end     packet --channel--> velocity of the tip --resolution--> rates of the joints
                       contacts --reflection--> force at the tip --channel--> packet
 
-`hand_mapping` has the mappings and `passivity` the channels. Below them `resolve` spends the spare joints on a cost,
+`hand` has the mappings and `passivity` the channels. Below them `resolve` spends the spare joints on a cost,
 inside the joints' limits, with accelerations that are bounded. Clearance, to itself and to a scene, never falls below `margin`:
 its rate is at least -approach (d - margin) [Faverjon and Tournassoud 1987], for which the null space gives way first, then the
 tip, which slides along; and what would still come too near is not done. What the arm cannot do is not asked for
@@ -42,10 +42,8 @@ from jaxik.results import Result
 from jaxik.spatial.algebra import safe_divide
 from jaxik.spatial.rotations import rotation_exp, rotation_log
 from jaxik.spmd import Stepped, kernel
-from jaxik.teleoperation.delay_line import DelayLine
-from jaxik.teleoperation.devices import Hand
-from jaxik.teleoperation.hand_mapping import Mapped, PositionControl, RateControl, bounded
-from jaxik.teleoperation.passivity import Channel, Direct, End, Packet, silence
+from jaxik.teleoperation.hand import Hand, Mapped, PositionControl, RateControl, bounded
+from jaxik.teleoperation.passivity import Channel, DelayLine, Direct, End, Packet, silence
 from jaxik.teleoperation.reflection import Felt, reflect
 
 
@@ -216,12 +214,12 @@ class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
     ) -> tuple[TeleoperationState, TeleoperationCommand]:
         """Returns the state and the command for the next `dt` [s] at q (n,), for a hand and what touches the arm, one contact
         or several. Traced."""
-        told, hand, position = _heard(state.position, hand, self.patience)
-        mapped, end, asked, force, velocity = self._at_hand(state, hand, position, told)
+        told, hand = _heard(state.position, hand, self.patience)
+        mapped, end, asked, force, velocity = self._at_hand(state, hand, told)
         there, asked = self._lines[0].step(state.there, asked, self.dt)
         q, contact, broken = _sound(self.robot, state.q, as_configuration(self.robot, q).astype(state.q.dtype), contact)
         held = asked.held | broken
-        felt = self._felt(q, contact)
+        felt = jnp.zeros(3) if contact is None else self._world() @ reflect(self.robot, q, contact, felt=self.felt)
         arm, wanted, turn = self._at_arm(state, asked, felt, held)
         rate, target, apart, moved = kernel(self._resolved)(state.rate, state.target, q, wanted, turn, held)
         share = self._channel.share(arm, felt, moved, self.dt)
@@ -229,7 +227,7 @@ class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
         arm, packet = self._channel.reply(arm, felt, wanted, moved, self.dt)
         back, packet = self._lines[1].step(state.back, packet, self.dt)
         energy = state.energy + self.dt * (felt @ moved - force @ velocity)
-        after = TeleoperationState(mapped, position, end, arm, there, back, packet, q, rate, target, asked.leads, energy)
+        after = TeleoperationState(mapped, hand.position, end, arm, there, back, packet, q, rate, target, asked.leads, energy)
         reason = jnp.where(broken & (told == Reason.SOLVED), Reason.INVALID, told)
         return after, TeleoperationCommand(rate, self.force_ratio * force, target, felt, energy, apart, reason)
 
@@ -238,18 +236,14 @@ class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
     def _world(self) -> Any:
         return np.asarray(self.robot.world_T_base)[:3, :3]
 
-    def _at_hand(self, state: TeleoperationState, hand: Hand, position: Any, told: Any) -> tuple[Any, ...]:
+    def _at_hand(self, state: TeleoperationState, hand: Hand, told: Any) -> tuple[Any, ...]:
         well = told == Reason.SOLVED
         active = well & (hand.buttons[0] == 0.0)
-        mapped, velocity = self.mapping.step(state.mapped, position, active, self.dt)
+        mapped, velocity = self.mapping.step(state.mapped, hand.position, active, self.dt)
         end, packet, force = self._channel.hand(state.hand, state.arrived, velocity, self.dt)
         turn = jnp.where(mapped.moves, bounded(hand.turn, self.mapping.turning), 0.0)
         felt = jnp.where(active, force, 0.0)  # a hand that does not move the arm would be moved for nothing
         return mapped, end, Asked(packet, turn, ~well, active), felt, velocity
-
-    def _felt(self, q: Any, contact: PointForce | None) -> Any:
-        """The force (3,) at the tip that stands for the contacts, in world axes."""
-        return jnp.zeros(3) if contact is None else self._world() @ reflect(self.robot, q, contact, felt=self.felt)
 
     def _at_arm(self, state: TeleoperationState, asked: Asked, felt: Any, held: Any) -> tuple[End, Any, Any]:
         """Returns the arm's end, and the velocity and the turn of the tip that are asked for, in world axes."""
@@ -302,15 +296,15 @@ class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
 _ABLE = 0.01  # the share of a slope that has to lie in the null space for that to give way alone
 
 
-def _heard(last: Any, hand: Hand, patience: float) -> tuple[Any, Hand, Any]:
-    """Returns why a hand cannot be followed, the hand in numbers, and its position, the last good one where it has none."""
+def _heard(last: Any, hand: Hand, patience: float) -> tuple[Any, Hand]:
+    """Returns why a hand cannot be followed, and the hand in numbers, at the last good position where it has none."""
     dtype = last.dtype
     hand = Hand(*(jnp.asarray(x, dtype) for x in hand))
     sound = jnp.all(jnp.isfinite(hand.position)) & jnp.all(jnp.isfinite(hand.turn)) & jnp.all(jnp.isfinite(hand.buttons))
     told = jnp.where(sound, Reason.SOLVED, Reason.INVALID)
     told = jnp.where(hand.age <= patience, told, Reason.SILENT)
     position, turn = jnp.where(sound, hand.position, last), jnp.where(sound, hand.turn, 0.0)
-    return told, Hand(position, turn, jnp.where(sound, hand.buttons, 0.0), hand.age), position
+    return told, Hand(position, turn, jnp.where(sound, hand.buttons, 0.0), hand.age)
 
 
 def _sound(robot: Robot, last: Any, q: Any, contact: PointForce | None) -> tuple[Any, PointForce | None, Any]:

@@ -16,7 +16,7 @@ from jaxik.kinematics.forward import forward_kinematics
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import as_configuration
 from jaxik.results import Result
-from jaxik.teleoperation.devices import Hand
+from jaxik.teleoperation.hand import Hand
 from jaxik.teleoperation.teleoperation import Teleoperation, TeleoperationCommand
 
 

@@ -44,9 +44,7 @@ from jaxik.reasons import Reason
 from jaxik.results import Result
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
 from jaxik.spmd import Stepped
-from jaxik.touch.force_law import ForceLaw, LawState
-from jaxik.touch.lowpass import Butterworth
-from jaxik.touch.stiffness import StiffnessEstimator, StiffnessState
+from jaxik.touch.force_law import Butterworth, ForceLaw, LawState, StiffnessEstimator, StiffnessState
 
 Scheme = Literal["baseline", "rmrc", "rac", "feedback", "task", "joint", "multi"]
 LOST = 0.1  # [s] without a force: a contact that comes back sooner, as after a bounce, is the same one
@@ -163,7 +161,9 @@ class Reaction(Options, Stepped, who="reaction", eq=False):
         """Returns the state at rest at q (n,), nothing touched. Traced."""
         q = as_configuration(self.robot, q)
         zeros = lambda *shape: jnp.zeros(shape, q.dtype)
-        k, law = self.contacts, self._law.init(q.dtype)
+        k, law, known = self.contacts, self._law.init(q.dtype), self.stiffness
+        if not isinstance(known, StiffnessEstimator):  # one that stays with it
+            known = StiffnessEstimator(start=known, lowest=known, highest=known)
         of = lambda x: zeros(0, 2, *x.shape) if self._filter is None else self._filter.init(x)
         return ReactionState(
             joint=zeros(k),
@@ -173,7 +173,7 @@ class Reaction(Options, Stepped, who="reaction", eq=False):
             depth=zeros(),
             depth_filter=of(zeros(2)),
             since=zeros() + LOST,
-            stiffness=self._estimator.init(q.dtype),
+            stiffness=known.init(q.dtype),
             law=law,
             task_law=law,
             rate=zeros(self.robot.num_joints),
@@ -309,12 +309,6 @@ class Reaction(Options, Stepped, who="reaction", eq=False):
     @property
     def _limits(self) -> RateLimits:
         return RateLimits.of(self.robot, self.limits, self.most)
-
-    @property
-    def _estimator(self) -> StiffnessEstimator:
-        """The estimator; where the stiffness is known, one that stays with it."""
-        known = self.stiffness
-        return known if isinstance(known, StiffnessEstimator) else StiffnessEstimator(start=known, lowest=known, highest=known)
 
 
 def _bounded(x: Any, most: float) -> Any:

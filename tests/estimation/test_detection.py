@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxik.estimation import Detector, fit_detector, judge_alarms
+from jaxik.estimation import Detector, fit_detector
 
 RATES = np.ones((1, 100, 2))
 TWO = Detector(np.ones(2), np.zeros(2), np.zeros(2), 0)
@@ -37,15 +37,6 @@ def test_a_loop_is_what_a_log_is():
     np.testing.assert_array_equal(detector.detect(external, rates), alarms)
 
 
-def test_alarms_are_judged():
-    alarms, contact = np.zeros((2, 20), bool)
-    contact[5:10] = contact[15:18] = True
-    alarms[[0, 1, 3, 7, 8, 10]] = True  # two false ones, one after 0.2 s and still on just behind its contact, a miss
-    found = judge_alarms(alarms, contact, 0.1, after=0.2)
-    assert found.false_alarms == 2 and found.free_time == pytest.approx(0.1 * (20 - 8 - 4))
-    np.testing.assert_allclose(found.delay, [0.2, np.nan])
-
-
 @pytest.mark.parametrize(
     ("call", "says"),
     [
@@ -59,9 +50,6 @@ def test_alarms_are_judged():
         (lambda: fit_detector(np.ones((5, 2)), np.full((5, 2), np.nan)), "fit_detector: velocity holds nan"),
         (lambda: TWO.detect(np.ones((5, 2)), np.full((5, 2), np.nan)), "detect: velocity holds nan"),  # in a loop it is at rest
         (lambda: TWO.detect(np.ones((5, 3)), np.ones((5, 3))), "detect: external of 3 joints, and a detector of 2"),
-        (lambda: judge_alarms(np.zeros(3), np.zeros(4), 0.1), r"alarms of shape \(3,\)"),
-        (lambda: judge_alarms(np.zeros(3), np.zeros(3), 0.0), "judge_alarms: dt is 0.0; it is"),
-        (lambda: judge_alarms(np.zeros(3), np.zeros(3), 0.1, after=np.inf), "judge_alarms: after is inf"),
     ],
 )
 def test_refusals(call, says):

@@ -161,7 +161,7 @@ def test_what_is_left_out_is_no_contact(log):
             lambda log: estimate(TorqueEstimator(ARM, FILTER), dataclasses.replace(log, torsion=np.full_like(log.q, np.inf))),
             "torsion holds .* at sample 0, q1; interpolate it, or cut the log in two there",
         ),
-        (lambda log: TorqueFilter.of_drives(jaxik.load("planar2"), 1.0, 1.0), "planar2 has no drives; use robot.with_drives"),
+        (lambda log: TorqueFilter.of_drives(jaxik.load("planar2"), 1.0, 1.0), "torque filter: planar2 has no drives; write"),
         (lambda log: TorqueEstimator(jaxik.load("crops_v2"), FILTER), "a filter of 2 joints; crops_v2 has 9 joints"),
         (lambda log: TorqueEstimator(ARM, None), "filter is None; write a jaxik.estimation.TorqueFilter"),
         (lambda log: MomentumObserver(ARM, 2000.0, DT), "gain 2000.0 at dt 0.001 s; allowed: above 0, at most 1 / dt"),

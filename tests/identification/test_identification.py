@@ -11,11 +11,9 @@ from scipy.spatial.transform import Rotation
 import jaxik
 from jaxik.dynamics import Body, Drive, Friction, friction_torque, inverse_dynamics
 from jaxik.identification import ExciteOptions, base_parameters, excite, identify
-from jaxik.identification.clear_motion import ClearSpace
-from jaxik.identification.excitation import _Search
-from jaxik.identification.identifiable import body_columns, side_by_side
-from jaxik.identification.physical_fit import Bodies, pseudo_inertias
-from jaxik.identification.problem import Curve, posed
+from jaxik.identification.excitation import ClearSpace, _Search
+from jaxik.identification.least_squares import Bodies, pseudo_inertias
+from jaxik.identification.regression import Curve, body_columns, posed, side_by_side
 from jaxik.kinematics import Motion, smooth
 from jaxik.reasons import Reason
 
@@ -105,7 +103,7 @@ WALL = jaxik.make_scene(spheres=[[-0.3, 0.85, 1.1, 0.15]])  # within reach
 
 def test_the_search_knows_its_slope():
     """The slope by coefficients and by shares is that of differences, nearness to the scene and to itself included."""
-    space = ClearSpace("excite", ARM, WALL, 0.02)
+    space = ClearSpace(ARM, WALL, 0.02)
     search = _Search(ARM, space, np.array([0.5, 0.6, -0.4]), ExciteOptions(samples=40))
     x = np.vstack([np.random.default_rng(0).normal(size=(10, 3)), [[0.9, 0.7, 0.8]]]).ravel()
     _, slope = search(x)
@@ -370,3 +368,6 @@ def test_a_dead_channel_is_named(dead, six):
     silent[:, dead] = 0.0
     with pytest.raises(ValueError, match=f"the torque of {SIX.joint_names[dead.start]} is 0 in all rows; a dead channel"):
         identify(SIX, Motion(*wave, torque=silent), terms=())
+    sprung = SIX.with_drives([Drive(spring_force=5.0)] * len(SIX.joint_names))  # what springs give is no measurement
+    with pytest.raises(ValueError, match="a dead channel tells nothing"):
+        identify(sprung, Motion(*wave, torque=silent), terms=())

@@ -10,7 +10,7 @@ from rigid_truth import of_robot
 import jaxik
 from jaxik.dynamics import Drive, Friction
 from jaxik.identification import identify_load
-from jaxik.identification.physical_fit import pseudo_inertias
+from jaxik.identification.least_squares import pseudo_inertias
 from jaxik.kinematics import Motion
 from jaxik.reasons import Reason
 
@@ -137,3 +137,13 @@ def test_no_load_is_none():
         found = [Motion(*moved, torque=each + 0.02 * rng.normal(size=each.shape)) for each in torque]
         reasons.append(identify_load(WRIST, found[0], empty=found[1]).reason)
     assert Reason.UNEXPLAINED not in reasons
+
+
+def test_what_a_log_does_not_tell_has_no_error():
+    """Rounding in the column of a moment that no joint feels, along two parallel axes, is no measurement of it."""
+    arm = dataclasses.replace(jaxik.load("crops_v2").part(0, 3), drives=(), armature=np.zeros(3))
+    moved = [0.3 * x[:, :3] for x in motion()]
+    moved[0] = moved[0] + np.mean(arm.finite_limits, axis=0)
+    found = identify_load(arm, Motion(*moved, torque=pinocchios(arm, moved, (MASS, COM, TENSOR))))
+    assert found.reason == Reason.UNEXCITED
+    assert np.isinf(found.com_std[2]) and np.all(np.isfinite(found.com_std[:2]))

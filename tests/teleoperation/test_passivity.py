@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxik.teleoperation import DelayLine, PassivityController, WaveVariables
-from jaxik.teleoperation.hand_mapping import bounded
+from jaxik.teleoperation.hand import bounded
 from jaxik.teleoperation.passivity import Direct, silence
 
 DT, STEPS, DRAG = 1e-3, 1500, 15.0

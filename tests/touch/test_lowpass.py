@@ -6,7 +6,7 @@ import pytest
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from jaxik.touch import StiffnessEstimator
-from jaxik.touch.lowpass import Butterworth
+from jaxik.touch.force_law import Butterworth
 
 
 @pytest.mark.parametrize("order", [1, 3, 8])

@@ -20,7 +20,7 @@ from jaxik.touch import (
     TouchSensor,
     simulate_reaction,
 )
-from jaxik.touch.lowpass import Butterworth
+from jaxik.touch.force_law import Butterworth
 
 ARM = jaxik.load("pendulum4")
 TASK = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")

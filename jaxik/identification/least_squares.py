@@ -1,6 +1,23 @@
-"""The fit of logs by least squares alone: base parameters, their standard errors, and where friction is not linear.
+"""The fit of logs: by least squares alone, and to bodies that can be.
 
-Each joint's residuals count by that joint's own noise.
+Base parameters, their standard errors, and where friction is not linear come from weighted least squares, in which each joint's
+residuals count by that joint's own noise. For bodies that can be, the pseudo-inertia
+
+    P = [ S  h ]     S = sum of m p p' = 1/2 tr(I) 1 - I,  h = m c,   about the joint's origin
+        [ h' m ]
+
+is positive definite exactly where the mass is positive and the inertia about the centre of gravity definite and within the
+triangle inequality [Wensing, Kim, Slotine 2018]. With P_0 = L_0 L_0' a body that is taken for granted,
+
+    P = L_0 C C' L_0',    C lower triangular, its diagonal the exponential of the first four of ten numbers
+
+reaches all of these bodies and no others; at 0 it is P_0, and a unit is a factor of e whatever the body's size [Rucker, Wensing
+2022].
+
+The bodies and friction that explain logs best are then found by a trust region's least squares with exact derivatives. The
+unknowns are these coordinates and the friction's coefficients, at least 0 but for the asymmetry. The rows are linear in the
+bodies' parameters and in these, so all of them are first replaced by as many as there are columns. What they do not tell stays
+where it began, by rows of its own.
 """
 
 from __future__ import annotations
@@ -9,18 +26,24 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from jaxik.identification.identifiable import LOADED, BaseParameters
-from jaxik.identification.problem import Curve, Problem
+from jaxik.identification.regression import LOADED, BaseParameters, Curve, Problem, Term
+from jaxik.kinematics.robot import ENTRIES
 
 WEIGHTED = 4  # fits, each weighted by the residuals of the one before
 EXACT = 1e-6  # of a joint's torque: noise is never less, or that joint would decide alone
+ROUNDING = 1e-12  # of the longest column
 TOLD = 1e-9  # of the largest singular value: a combination of less is not told by the rows
 PARTS = np.geomspace(0.05, 4.0, 30)  # of a joint's usual speed, where its Stribeck velocity is looked for
 WIDEST = 3.0  # logarithms about the likely one: beyond, the curve is a step or flat where the joint moved
 GUESSED = 2  # rounds that begin from likely Stribeck velocities; those after have the load, and go on from those found
 STEADY = 1e-3  # of a joint's torque: what the load still changes by at the end
 SETTLED = 1e-6  # of the sum of squares: what a step still takes away at the end, far below what noise does
+LOWER = np.array([(0, 0), (1, 1), (2, 2), (3, 3), (1, 0), (2, 0), (2, 1), (3, 0), (3, 1), (3, 2)])
+UNKNOWN = 0.01 * np.diag([1e-3, 1e-3, 1e-3, 1.0])  # of a body without a mass: 10 g, 30 mm about its centre
+SMALLEST = 1e-6  # [m2] added to a body's second moments over its mass, 1 mm squared, where it has none
+FIRST = 1e-3  # every coefficient of friction, for the bounds are none to start at
 
 
 class WeightedFit(NamedTuple):
@@ -64,8 +87,7 @@ def weighted_fit(
 ) -> WeightedFit:
     """Fits rows (r, p) and (r,), each of a `joint` (r,); of each joint `rows` (n,) were measured, and its noise is at least
     `least` (n,)."""
-    lengths = np.linalg.norm(columns, axis=0)
-    lengths = np.where(lengths > 0.0, lengths, 1.0)
+    lengths = _lengths(columns)
     columns = columns / lengths
     noise = np.ones(len(rows))
     for _ in range(WEIGHTED):
@@ -82,9 +104,14 @@ def weighted_fit(
 
 def condition(columns: np.ndarray) -> float:
     """The condition number at equal lengths."""
-    lengths = np.linalg.norm(columns, axis=0)
-    s = np.linalg.svd(np.linalg.qr(columns / np.where(lengths > 0.0, lengths, 1.0), mode="r"), compute_uv=False)
+    s = np.linalg.svd(np.linalg.qr(columns / _lengths(columns), mode="r"), compute_uv=False)
     return float(s[0] / max(s[-1], 1e-300))
+
+
+def _lengths(columns: np.ndarray) -> np.ndarray:
+    """The lengths of columns (p,) by which these are told apart; 1 for one that is 0 but for rounding, and tells nothing."""
+    lengths = np.linalg.norm(columns, axis=0)
+    return np.where(lengths > ROUNDING * lengths.max(initial=0.0), lengths, 1.0)
 
 
 class BaseFit(NamedTuple):
@@ -142,16 +169,19 @@ def _likely_stribeck(problem: Problem, base: BaseParameters, load: np.ndarray) -
     usual = np.sqrt(np.mean(problem.qdot**2, axis=0, where=problem.counts))
     if "breakaway" not in problem.terms:
         return usual
-    torque, best = problem.torque - problem.rotor, []
-    for j, (rows, (basis, triangle)) in enumerate(zip(problem.counts.T, problem.factors, strict=True)):
+    torque, seen = problem.torque - problem.rotor, []
+    for basis, triangle in problem.factors:
         u, s, _ = np.linalg.svd(triangle[:, kept], full_matrices=False)
-        seen = basis @ u[:, s > TOLD * s[0]]
-        beside = lambda x, seen=seen: x - seen @ (seen.T @ x)  # what no body explains
-        left = beside(torque[rows, j])
-        friction = (beside(problem.friction_of(j, Curve(load, part * usual))) for part in PARTS)
-        off = [left - f @ np.linalg.lstsq(f, left, rcond=None)[0] for f in friction]
-        best.append(np.argmin(np.linalg.norm(off, axis=1)))
-    return usual * PARTS[best]
+        seen.append(basis @ u[:, s > TOLD * s[0]])
+    beside = lambda j, x: x - seen[j] @ (seen[j].T @ x)  # what no body explains
+    left = [beside(j, torque[rows, j]) for j, rows in enumerate(problem.counts.T)]
+    off = np.empty((len(PARTS), len(usual)))
+    for part, each in zip(PARTS, off, strict=True):
+        columns = problem.friction(Curve(load, part * usual))
+        for j, rows in enumerate(problem.counts.T):
+            friction = beside(j, columns[:, rows, j].T)
+            each[j] = np.linalg.norm(left[j] - friction @ np.linalg.lstsq(friction, left[j], rcond=None)[0])
+    return usual * PARTS[np.argmin(off, axis=0)]
 
 
 def _stribeck(problem: Problem, base: BaseParameters, curve: Curve, noise: np.ndarray) -> np.ndarray:
@@ -181,3 +211,109 @@ def _stribeck(problem: Problem, base: BaseParameters, curve: Curve, noise: np.nd
     start = np.zeros(len(noise))
     done = least_squares(lambda x: at(x)[0], start, lambda x: at(x)[1], (-WIDEST, WIDEST), ftol=SETTLED)
     return np.asarray(curve.stribeck * np.exp(done.x))
+
+
+def _matrix() -> np.ndarray:
+    """Makes the matrix from the parameters (10,) to the entries of P (16,)."""
+    rows = np.zeros((10, 4, 4))
+    rows[0, 3, 3] = 1.0
+    for i in range(3):
+        rows[1 + i, i, 3] = rows[1 + i, 3, i] = 1.0
+    for k, (i, j) in enumerate(ENTRIES):
+        rows[4 + k, :3, :3] += 0.5 * (i == j) * np.eye(3)
+        rows[4 + k, i, j] -= 1.0
+        rows[4 + k, j, i] -= float(i != j)
+    return rows.reshape(10, 16)
+
+
+TO_PSEUDO = _matrix()
+FROM_PSEUDO = np.linalg.pinv(TO_PSEUDO)  # exact on symmetric matrices
+
+
+def pseudo_inertias(parameters: Float[np.ndarray, "10_n"]) -> Float[np.ndarray, "n 4 4"]:
+    """The pseudo-inertia of each body [kg m2, kg m, kg], of `robot.parameters` (10 n,). Host.
+
+    A body can be where all four eigenvalues are above 0. Source: Wensing, Kim, Slotine 2018.
+    """
+    return (np.reshape(parameters, (-1, 10)) @ TO_PSEUDO).reshape(-1, 4, 4)
+
+
+class Bodies:
+    """Ten coordinates a body, of bodies that can be, around those given."""
+
+    def __init__(self, parameters: np.ndarray):
+        pseudo = pseudo_inertias(parameters)
+        weightless = pseudo[:, 3, 3] <= 0.0  # in a file's way of saying nothing there is no scale to begin from
+        pseudo = np.where(weightless[:, None, None], UNKNOWN, pseudo)
+        values, vectors = np.linalg.eigh(pseudo)
+        least = SMALLEST * pseudo[:, 3, 3, None]
+        kept = vectors * np.maximum(values, least)[:, None, :] @ np.swapaxes(vectors, 1, 2)
+        self.root = np.linalg.cholesky(kept)
+
+    def at(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The parameters (n, 10) at coordinates (n, 10), and their derivative (n, 10, 10)."""
+        rows, columns = LOWER.T
+        factor = np.zeros((len(x), 4, 4))
+        factor[:, rows, columns] = x
+        diagonal = np.exp(x[:, :4])
+        factor[:, range(4), range(4)] = diagonal
+        slope = np.zeros((len(x), 10, 4, 4))
+        slope[:, range(10), rows, columns] = 1.0
+        slope[:, range(4), range(4), range(4)] = diagonal
+        factor, slope = self.root @ factor, self.root[:, None] @ slope
+        half = slope @ np.swapaxes(factor, 1, 2)[:, None]
+        moved = half + np.swapaxes(half, 2, 3)
+        pseudo = factor @ np.swapaxes(factor, 1, 2)
+        return pseudo.reshape(-1, 16) @ FROM_PSEUDO, np.swapaxes(moved.reshape(-1, 10, 16) @ FROM_PSEUDO, 1, 2)
+
+
+def physical_fit(
+    problem: Problem, curve: Curve, noise: np.ndarray, known: np.ndarray, prior: float, steps: int
+) -> tuple[np.ndarray, dict[Term, np.ndarray], np.ndarray, bool]:
+    """Fits from the `known` bodies' parameters (10 n,) on; residuals count by the `noise` (n,), coordinates by the `prior`.
+
+    Returns parameters of bodies (n, 10), each term of the friction (n,), the root mean square of what is left (n,), and whether
+    the search came to an end.
+    """
+    columns, _, torque, joint = problem.rows(curve)
+    bounded = np.repeat([term != "asymmetry" for term in problem.terms], len(noise))
+    bodies, friction, settled = nearest_bodies(columns, torque, 1.0 / noise[joint], known, bounded, prior, steps)
+    off = columns @ np.append(bodies, friction) - torque
+    residual = np.sqrt(np.bincount(joint, off**2) / problem.counts.sum(axis=0))
+    coefficients = friction.reshape(len(problem.terms), len(noise))
+    return bodies, dict(zip(problem.terms, coefficients, strict=True)), residual, settled
+
+
+def nearest_bodies(
+    columns: np.ndarray,
+    torque: np.ndarray,
+    weight: np.ndarray,
+    known: np.ndarray,
+    bounded: np.ndarray,
+    prior: float,
+    steps: int,
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Finds bodies (n, 10) around those `known` (10 n,) and other coefficients (c,), at least 0 where `bounded` (c,), which
+    explain rows (r, 10 n + c) and (r,), by their weights (r,); and whether the search came to an end."""
+    from scipy.optimize import least_squares
+
+    around, n = Bodies(known), len(known) // 10
+    triangle = np.asarray(np.linalg.qr(np.column_stack([columns, torque]) * weight[:, None], mode="r"))
+    triangle, right = triangle[:, :-1], triangle[:, -1]
+    by_body = triangle[:, : 10 * n].reshape(-1, n, 10)
+    held = np.eye(10 * n, triangle.shape[1]) / prior
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        bodies, _ = around.at(x[: 10 * n].reshape(n, 10))
+        return np.concatenate([triangle @ np.append(bodies, x[10 * n :]) - right, held @ x])
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        _, slope = around.at(x[: 10 * n].reshape(n, 10))
+        moved = np.einsum("rbi,bix->rbx", by_body, slope).reshape(len(triangle), -1)
+        return np.concatenate([np.hstack([moved, triangle[:, 10 * n :]]), held])
+
+    bounded = np.append(np.zeros(10 * n, bool), bounded)
+    first, lowest = np.where(bounded, FIRST, 0.0), np.where(bounded, 0.0, -np.inf)
+    done = least_squares(residual, first, jacobian, (lowest, np.inf), x_scale=1.0, ftol=SETTLED, max_nfev=steps)
+    bodies, _ = around.at(done.x[: 10 * n].reshape(n, 10))
+    return bodies, done.x[10 * n :], done.status > 0
