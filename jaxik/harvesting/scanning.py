@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from jaxik.analytic.families import scan_obstacle
@@ -43,6 +44,15 @@ class ScanOptions(PostureOptions, who="scan"):
         default=41, unit="m, rad", words="positions of each leading joint, a count, or the values (m, k), of one slide (m,) too"
     )
     grasp: Grasp = instance(default=Grasp(), kind=Grasp, words="how the tip meets a fruit")
+
+    def check(self) -> None:
+        vars(self).update(angles=_hashable(self.angles), slides=_hashable(self.slides))  # which are static in results
+
+
+def _hashable(given: Any) -> Any:
+    """Tuples in place of arrays and lists."""
+    given = given.tolist() if isinstance(given, np.ndarray | jax.Array) else given
+    return tuple(map(_hashable, given)) if isinstance(given, list | tuple) else given
 
 
 class Table(NamedTuple):
