@@ -28,7 +28,7 @@ from jaxik.options import anything, instance
 from jaxik.pytree import static
 from jaxik.reach.grasp import Grasp, approach_grid
 from jaxik.reach.leading_joints import leading_grid, postures_over
-from jaxik.reach.ranking import PostureOptions, measures
+from jaxik.reach.scoring import PostureOptions, measures
 from jaxik.reasons import Reason
 from jaxik.results import Result
 from jaxik.spmd.batch import in_blocks

@@ -28,7 +28,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
 from jaxik.options import anything, count, fields, flag, instance
 from jaxik.reach.grasp import Grasp
-from jaxik.reach.ranking import PostureOptions
+from jaxik.reach.scoring import PostureOptions
 from jaxik.spatial.rotations import frame, from_rpy
 from jaxik.sweeps import targets as sources
 from jaxik.sweeps.robot_variants import Variant, all_variants, read_shapes, variant_name
