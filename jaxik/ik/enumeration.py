@@ -36,7 +36,7 @@ from jaxik.ik.solutions import (
     top,
     within,
 )
-from jaxik.ik.sqp_programs import batch, errors
+from jaxik.ik.sqp_programs import solve_errors
 from jaxik.kinematics.joint_turns import nearest_turns
 from jaxik.kinematics.robot import Robot
 from jaxik.spmd.batch import in_blocks
@@ -83,7 +83,10 @@ def enumerated(problem: Problem, left: np.ndarray) -> Found:
         found = _best(problem, Found.joined([found, *followed]))
     else:
         found = (_first if problem.most == 1 and problem.scene is None else _several)(problem, left)
-    found = measured(problem, found)
+    if not len(found.q):
+        return found
+    away, turned = solve_errors(problem.robot, problem.options.task, found.q, problem.poses[found.target])
+    found = found._replace(position_error=away, rotation_error=turned)
     return found.rows(within(found, problem.tolerance))
 
 
@@ -173,15 +176,9 @@ def _best(problem: Problem, found: Found) -> Found:
     return found.rows(far_apart(problem, found, score, problem.most, problem.options.distinct))
 
 
-def _range(problem: Problem) -> seeds.Range:
-    """The range of what the closed form is given."""
-    low, high = solver_of(problem.robot).given_range(problem.inside.low, problem.inside.high)
-    return seeds.Range(tuple(low.tolist()), tuple(high.tolist()))
-
-
 def _values(problem: Problem, first: int, last: int) -> np.ndarray:
     """Points number `first` to `last` (not counted) of a low-discrepancy sequence over what is given, (last - first, k)."""
-    inside = _range(problem)
+    inside = problem.inside.given(problem.robot)
     if not inside.low:
         return np.zeros((1, 0))
     return seeds.low_discrepancy(inside, problem.seed, first, last)
@@ -191,7 +188,7 @@ def _followed(problem: Problem, found: Found) -> Found:
     """Each answer, or a better one by the choice: of the same branch, at points ever nearer to what it is given itself."""
     if not len(found.q):
         return found
-    inside, rows = _range(problem), np.arange(len(found.q))
+    inside, rows = problem.inside.given(problem.robot), np.arange(len(found.q))
     low, high = np.array(inside.low), np.array(inside.high)
     share = seeds.low_discrepancy(seeds.Range((-1.0,) * len(low), (1.0,) * len(low)), problem.seed, 0, ZOOMED)
     width = (high - low) / problem.options.max_seeds ** (1.0 / len(low))
@@ -212,12 +209,3 @@ def _followed(problem: Problem, found: Found) -> Found:
         both = Found.joined([found, moved.rows(fits)])
         found = both.rows(top(np.concatenate([rows, row[fits]]), scores(problem, both), 1))
     return found
-
-
-def measured(problem: Problem, found: Found) -> Found:
-    """Measures the errors of the tips, in float64."""
-    if not len(found.q):
-        return found
-    program = batch(2, errors, problem.robot, problem.options.task)
-    away, turned = in_blocks(program, found.q, problem.poses[found.target], double=True)
-    return found._replace(position_error=away, rotation_error=turned)

@@ -32,6 +32,7 @@ from jaxik.ik.enumeration import enumerable, enumerated
 from jaxik.ik.problem import Problem
 from jaxik.ik.refinement import (
     EARLY,
+    FINISHING,
     OPEN,
     PUSHED,
     SOLVED,
@@ -45,6 +46,7 @@ from jaxik.ik.refinement import (
     pushed,
     rescued,
     searched,
+    settled,
     settling,
 )
 from jaxik.ik.solutions import Found, at_home, candidates, cleared, judged, nothing, portions, top, within
@@ -130,15 +132,15 @@ def _searched_for(problem: Problem, valid: np.ndarray) -> Outcome:
             for some in portions(left, wave.size):
                 note(*_search_wave(problem, some, wave, misses))
             if wave.rescues and OPEN in reason:  # what is left by now is near a singularity, or unreachable
-                note(*rescued(problem, misses.near(reason)))
+                note(*rescued(problem, misses, reason))
             if wave.pushes and OPEN in reason:  # more seeds cost less than moving out of obstacles
                 blocked = [still_blocked()]
                 note((hopped if is_fixed(problem) else pushed)(problem, blocked[0], wave.pushes))
     if OPEN in reason:
-        note(*loosened(problem, misses.loose(reason)))
+        note(*loosened(problem, misses, reason))
     missed = none
     if OPEN in reason:
-        missed = misses.nearest(reason)
+        missed = cleared(problem, settled(problem, misses.nearest(1, reason), FINISHING))
         landed = within(missed, problem.tolerance)
         note(*judged(problem, missed.rows(landed)))  # late, but they have the pose
         missed = missed.rows(~landed)
@@ -255,7 +257,7 @@ def _beyond_limits(problem: Problem, reason: np.ndarray, misses: Misses) -> np.n
     held = problem.low == problem.high  # what is locked stays so
     up_to = lambda bound: (np.where(held, problem.low, -bound), np.where(held, problem.high, bound))
     low, high = up_to(np.inf)
-    inside = seeds.Range(*(tuple(bound.tolist()) for bound in up_to(np.pi)))
+    inside = seeds.Range.of(*up_to(np.pi))
     free = dataclasses.replace(problem, scene=None, low=low, high=high, inside=inside, choice="first")
     for some in portions(left, UNLIMITED):
         found, _ = _search_wave(free, some, Wave(0, UNLIMITED, STEPS, False, 0), Misses(problem))

@@ -255,7 +255,7 @@ def _range(robot: Robot, lower: tuple[float, ...], upper: tuple[float, ...], one
     if one_turn:
         over = np.where(robot.is_prismatic, 0.0, np.maximum(high - low - TURN, 0.0)) / 2.0
         low, high = low + over, high - over
-    return seeds.Range(tuple(low.tolist()), tuple(high.tolist()))
+    return seeds.Range.of(low, high)
 
 
 def _shaped(name: str, value: Any, shape: tuple[int, ...], least: int = 0) -> np.ndarray:
