@@ -29,6 +29,7 @@ from jaxik.planning.goals import postures
 from jaxik.planning.limits import motion_limits
 from jaxik.planning.planner import PlanOptions, plan_motion
 from jaxik.planning.trajectory import Trajectory
+from jaxik.reach.grasp import without_marked
 from jaxik.reasons import Reason
 
 DETOUR = 1.3  # times as long as straight, what a leg is taken to be that may not be straight, until it is planned
@@ -169,15 +170,14 @@ class _Planner:
         return found._replace(blockers=blocking or found.blockers)
 
     def leaves(self, arm: Robot, q: np.ndarray, fruit: str) -> np.ndarray:
-        """Whether each configuration (b, n) touches each object that may be removed (b, objects)."""
-        scene = self.around.scene
-        others = scene.without([fruit]) if fruit in scene.object_names else scene
-        return touched(arm, others, q, 0.0) & self.around.removable
+        """Whether any configuration (b, n) touches each object that may be removed (objects,)."""
+        (mark,) = (mark for mark in self.around.scene.marks if mark.name == fruit)
+        return np.any(touched(arm, without_marked(self.around.scene, mark), q, 0.0) & self.around.removable, axis=0)
 
     def counted(self, found: Picks) -> Picks:
         """Adds how many leaves are touched on the lines of each row."""
         there, back = (moved.path.coefficients[:, :, 3] for moved in (found.approach, found.retreat))
-        hit = lambda arm, q: self.leaves(arm, q, found.fruit).any(axis=0)
+        hit = lambda arm, q: self.leaves(arm, q, found.fruit)
         rows = zip(found.held, there, back, strict=True)
         return found._replace(touched=np.array([np.sum(hit(self.robot, a) | hit(arm, b)) for arm, a, b in rows]))
 
@@ -205,7 +205,7 @@ class _Planner:
         stage = Stage(kind, fruit, self.stages[-1].end if self.stages else 0.0, trajectory)
         if fruit and self.options.leaves != "avoid":
             arm = held if held is not None and stage.carries else self.robot
-            hit = self.leaves(arm, np.asarray(trajectory.sample(PERIOD).q), fruit).any(axis=0)
+            hit = self.leaves(arm, np.asarray(trajectory.sample(PERIOD).q), fruit)
             stage = stage._replace(leaves=tuple(self.around.scene.object_names[i] for i in np.flatnonzero(hit)))
         self.stages.append(stage)
 
@@ -228,8 +228,8 @@ class _Tour:
         counts = np.cumsum([1, *(len(each.seconds) for each in picks)])
         self.groups = {p.fruit: np.arange(a, b) for p, a, b in zip(picks, counts, counts[1:], strict=False)}
         self.nodes = len(self.members) + 1
-        self.begins = np.concatenate([at[None], *(p.exit for p in picks), planner.places])
-        self.ends = np.concatenate([planner.home[None], *(p.entry for p in picks), planner.places])
+        self.begins = np.concatenate([at[None], *(ends(p.retreat)[1] for p in picks), planner.places])
+        self.ends = np.concatenate([planner.home[None], *(ends(p.approach)[0] for p in picks), planner.places])
         self.own = np.concatenate([[0.0], *(p.seconds + planner.options.leaf_time * p.touched for p in picks)])
         self.seconds = self.estimated()
         self.legs: dict[tuple[int, int], _Leg] = {}
@@ -279,7 +279,7 @@ class _Tour:
         while self.groups and not (best[1] and revised >= REVISED):
             costs, revised = self.costs()[0], revised + 1
             nodes = self.ordered(costs, revised > 1 and self.planner.options.order == "shortest")
-            if _length(costs, nodes) >= WORTH * best[0]:
+            if costs[[0, *nodes], [*nodes, 0]].sum() >= WORTH * best[0]:
                 break
             legs, new = self.plan_along(nodes)
             motions = [leg.trajectory for leg in legs.values() if leg.trajectory is not None]
@@ -337,10 +337,6 @@ class _Tour:
                     del self.groups[fruit]
                     where = "transfer" if self.fruit(b) else "transport"
                     self.planner.rows[fruit] = self.planner.row(fruit, leg.reason, where)
-
-
-def _length(costs: np.ndarray, nodes: Sequence[int]) -> float:
-    return float(costs[[0, *nodes], [*nodes, 0]].sum())
 
 
 def _ranks(fruits: Sequence[Mark], order: Any) -> dict[str, int]:

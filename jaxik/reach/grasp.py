@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxik.checks.arrays import shaped
 from jaxik.checks.options import as_count_or_values, shown
-from jaxik.collision.scene import Mark
+from jaxik.collision.scene import Mark, Scene, remembered
 from jaxik.kinematics.robot import Robot
 from jaxik.spatial.rotations import frame
 
@@ -59,6 +59,12 @@ def across(axis: Any, toward: tuple[float, float, float]) -> np.ndarray:
     reference = np.array((1.0, 0.0, 0.0) if abs(axis @ toward) > 0.99 else toward)
     found = reference - axis * (axis @ reference)
     return found / np.linalg.norm(found)
+
+
+def without_marked(scene: Scene, mark: Mark) -> Scene:
+    """The scene without the object that stands at a mark, which is no obstacle to what grasps it. Made once."""
+    there = mark.name in scene.object_names
+    return remembered(scene, ("without", mark.name), lambda: scene.without(mark.name) if there else scene)
 
 
 def approach_grid(angles: Any) -> np.ndarray:
