@@ -29,7 +29,7 @@ from jaxik.planning.goals import postures
 from jaxik.planning.limits import motion_limits
 from jaxik.planning.planner import PlanOptions, plan_motion
 from jaxik.planning.trajectory import Trajectory
-from jaxik.reach.grasp import without_marked
+from jaxik.reach.grasp import without
 from jaxik.reasons import Reason
 
 DETOUR = 1.3  # times as long as straight, what a leg is taken to be that may not be straight, until it is planned
@@ -75,29 +75,15 @@ def plan_harvest(
     return dataclasses.replace(plan, stages=tuple(planner.stages), seconds=time.perf_counter() - began)
 
 
-class _Surroundings:
-    """The scene at each level of care, with leaves, and without as far as they may be touched; less what is picked."""
-
-    def __init__(self, scene: Scene, leaves: str):
-        self.scene, self.removable = scene, np.array(scene.removable, bool)
-        bare = scene.without(np.flatnonzero(self.removable))
-        self.levels = {"avoid": (scene,), "brush": (scene, bare), "ignore": (bare,)}[leaves]
-        self.known: dict[Any, list[Scene]] = {}
-
-    def each(self, gone: frozenset[str]) -> list[Scene]:
-        if gone not in self.known:
-            names = [name for name in self.scene.object_names if name in gone]
-            self.known[gone] = [level.without(names) if names else level for level in self.levels]
-        return self.known[gone]
-
-
 class _Planner:
     """Plans one harvest: `run` fills in the `rows`, by fruit, and the `stages`."""
 
     def __init__(self, harvest: HarvestResult, options: HarvestPlanOptions, seed: int):
         self.harvest, self.options, self.seed = harvest, options, seed
         self.robot, scene, asked = harvest.robot, harvest.scene, harvest.options
-        self.around = _Surroundings(scene, options.leaves)
+        self.scene, self.removable = scene, np.array(scene.removable, bool)
+        bare = scene.without(np.flatnonzero(self.removable))
+        self.levels = {"avoid": (scene,), "brush": (scene, bare), "ignore": (bare,)}[options.leaves]
         limits = {"velocity": options.velocity, "acceleration": options.acceleration}
         self.motion = PlanOptions(margin=options.margin, rounds=options.rounds, **limits)
         self.limits = motion_limits("plan_harvest", self.robot, **limits)
@@ -109,11 +95,15 @@ class _Planner:
         self.rows: dict[str, HarvestPlan] = {}
         self.stages: list[Stage] = []
 
+    def around(self, gone: frozenset[str]) -> list[Scene]:
+        """The scene at each level of care, with leaves, and without as far as they may be touched; less what is picked."""
+        return [without(level, gone) for level in self.levels]
+
     def free(self, name: str, given: Any) -> np.ndarray:
         """The configurations (p, n) of a home or a place that are free. Raises `ValueError` where none is."""
         n, asked = self.robot.num_joints, numbers(f"plan_harvest: {name}", given)
         several = name == "place"
-        scene = self.around.levels[-1]
+        scene = self.levels[-1]
         if several and asked.shape[-2:] == (4, 4) and asked.ndim <= 3 and (n != 4 or asked.ndim == 3):
             poses = asked.reshape(-1, 4, 4)
             near, bound = np.tile(self.home, (len(poses), 1)), (self.options.task, self.options.margin)
@@ -161,7 +151,7 @@ class _Planner:
             angles, q = np.append(row.angle, angles), np.concatenate([row.q[None], q])
         if not len(q):
             return Picks(row.fruit, row.reason, "posture")
-        for scene in self.around.each(gone):
+        for scene in self.around(gone):
             found = find_picks(self.robot, scene, row.scan.fruit, angles, q, self.way)
             if found.reason == Reason.SOLVED:
                 return self.counted(found) if self.options.leaves == "brush" else found
@@ -171,8 +161,7 @@ class _Planner:
 
     def leaves(self, arm: Robot, q: np.ndarray, fruit: str) -> np.ndarray:
         """Whether any configuration (b, n) touches each object that may be removed (objects,)."""
-        (mark,) = (mark for mark in self.around.scene.marks if mark.name == fruit)
-        return np.any(touched(arm, without_marked(self.around.scene, mark), q, 0.0) & self.around.removable, axis=0)
+        return np.any(touched(arm, without(self.scene, [fruit]), q, 0.0) & self.removable, axis=0)
 
     def counted(self, found: Picks) -> Picks:
         """Adds how many leaves are touched on the lines of each row."""
@@ -206,7 +195,7 @@ class _Planner:
         if fruit and self.options.leaves != "avoid":
             arm = held if held is not None and stage.carries else self.robot
             hit = self.leaves(arm, np.asarray(trajectory.sample(PERIOD).q), fruit)
-            stage = stage._replace(leaves=tuple(self.around.scene.object_names[i] for i in np.flatnonzero(hit)))
+            stage = stage._replace(leaves=tuple(self.scene.object_names[i] for i in np.flatnonzero(hit)))
         self.stages.append(stage)
 
 
@@ -243,7 +232,7 @@ class _Tour:
         """The time that each leg takes, as if it were straight [s]."""
         planner = self.planner
         seconds = planner.limits.straight(self.ends[None] - self.begins[:, None])
-        space = CollisionChecker(planner.robot, planner.around.each(self.gone)[0], planner.options.margin)
+        space = CollisionChecker(planner.robot, planner.around(self.gone)[0], planner.options.margin)
         a, b = (x.ravel() for x in np.indices(seconds.shape))
         part = space.free_part(self.begins[a], self.ends[b], STEP).reshape(seconds.shape)
         return np.where(part < 1.0, DETOUR, 1.0) * seconds
@@ -311,7 +300,7 @@ class _Tour:
             picks, row = self.members[a - 1]
             arm = picks.held[row]
         straight = planner.limits.straight(self.ends[b] - self.begins[a])
-        for scene in planner.around.each(gone):
+        for scene in planner.around(gone):
             tries = []
             for attempt in range(ATTEMPTS):  # a search finds another way with another seed
                 moved = plan_motion(

@@ -24,7 +24,7 @@ from jaxik.planning.collision_checker import CollisionChecker, touched
 from jaxik.planning.limits import Limits
 from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory
-from jaxik.reach.grasp import Grasp, without_marked
+from jaxik.reach.grasp import Grasp, without
 from jaxik.reasons import Reason
 from jaxik.spmd.batch import in_blocks
 
@@ -75,7 +75,7 @@ def ends(moved: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 def find_picks(robot: Robot, scene: Scene, fruit: Mark, angles: np.ndarray, q: np.ndarray, way: Way) -> Picks:
     """The ways to pick a fruit from postures `q` (b, n), best first, at `angles` (b,) about its axis, among what is in the
     scene; `way.candidates` of them that differ much. Host driver."""
-    others = without_marked(scene, fruit)
+    others = without(scene, [fruit.name])
     free, whole = CollisionChecker(robot, others, way.margin), CollisionChecker(robot, scene, way.margin)
     kept = ~free.hits(q, way.clear - way.margin)
     if not kept.any():

@@ -28,7 +28,7 @@ from jaxik.kinematics.forward import jacobian
 from jaxik.kinematics.robot import Robot
 from jaxik.options import anything, instance
 from jaxik.pytree import static
-from jaxik.reach.grasp import Grasp, approach_grid, without_marked
+from jaxik.reach.grasp import Grasp, approach_grid, without
 from jaxik.reach.leading_joints import grid, leading_grid, postures_over
 from jaxik.reach.scoring import PostureOptions, measures
 from jaxik.reasons import Reason
@@ -108,7 +108,7 @@ class ScanResult(Result):
 
     def touched(self) -> Touched:
         """Finds what the candidates touch. Host driver."""
-        others = without_marked(self.scene, self.fruit)
+        others = without(self.scene, [self.fruit.name])
         return touched_sets(self.robot, self.scene, others, self.table.q, self.options.margin)
 
     def blockers(self, pickable: Collection[str] = ()) -> Blockers:
@@ -171,7 +171,7 @@ def measured(robot: Robot, scene: Scene, fruit: Mark, q: np.ndarray) -> tuple[np
     """Clearance [m] and freedom of postures (N, n) that pick the fruit, which is no obstacle. Host driver."""
     if not len(q):
         return np.zeros(0), np.zeros(0)
-    distance, freedom = in_blocks(measures(robot), q, fixed=(grouped(without_marked(scene, fruit), robot),))
+    distance, freedom = in_blocks(measures(robot), q, fixed=(grouped(without(scene, [fruit.name]), robot),))
     return distance, freedom
 
 
@@ -235,7 +235,7 @@ def _finer(found: ScanResult, starts: np.ndarray) -> Iterator[tuple[np.ndarray, 
 def _climb(found: ScanResult, starts: np.ndarray) -> tuple[Table, str] | None:
     """Raises the clearance from each start along its self-motion, until a posture has more than the margin."""
     robot, options = found.robot, found.options
-    others = grouped(without_marked(found.scene, found.fruit), robot)
+    others = grouped(without(found.scene, [found.fruit.name]), robot)
     low, high = solver_of(robot).limits()
     axis = np.asarray(robot.world_T_base[:3, :3].T @ found.fruit.axis)
     branch = starts[:, -1].astype(int)

@@ -133,10 +133,16 @@ def _tries(problem: Problem, targets: int) -> list[int]:
 
 
 def _kept_of(problem: Problem, some: np.ndarray, first: int, last: int) -> Found:
-    """Finds the branches of `some` targets at points number `first` to `last` that do not collide and that `_kept` keeps, as
-    many targets at a time as memory holds."""
-    parts = (judged(problem, _of_values(problem, part, first, last))[0] for part in portions(some, last - first))
-    return Found.joined([_kept(problem, part) for part in parts])
+    """Finds the branches of `some` targets at points number `first` to `last` that do not collide, as many targets at a time as
+    memory holds; keeps the best of each branch number where one answer is asked for, to be followed, else the best of all."""
+    kept = []
+    for part in portions(some, last - first):
+        found, _ = judged(problem, _of_values(problem, part, first, last))
+        if problem.most > 1 or problem.robot.num_joints == 6:
+            kept.append(_best(problem, found))
+        else:
+            kept.append(found.rows(first_most(BRANCHES * found.target + found.seed % BRANCHES, scores(problem, found))))
+    return Found.joined(kept)
 
 
 def _of_values(problem: Problem, some: np.ndarray, first: int, last: int) -> Found:
@@ -159,13 +165,6 @@ def _of_general(problem: Problem, arm: GeneralArm, some: np.ndarray) -> Found:
     target, low, high = some[row], problem.low, problem.high
     q = nearest_turns(problem.robot, q[row, number], problem.home(target), low, high)
     return candidates(q, target, number).rows(np.all((low <= q) & (q <= high), axis=1))
-
-
-def _kept(problem: Problem, found: Found) -> Found:
-    """Keeps the best of each branch number where one answer is asked for, to be followed; else the best of all."""
-    if problem.most > 1 or problem.robot.num_joints == 6:
-        return _best(problem, found)
-    return found.rows(first_most(BRANCHES * found.target + found.seed % BRANCHES, scores(problem, found)))
 
 
 def _best(problem: Problem, found: Found) -> Found:

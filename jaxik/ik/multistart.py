@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.analytic.families import solver_of
-from jaxik.analytic.solutions import BRANCHES
+from jaxik.analytic.solutions import BRANCHES, closed_forms
 from jaxik.ik import seeds
 from jaxik.ik.enumeration import enumerable, enumerated
 from jaxik.ik.problem import Problem
@@ -53,6 +53,7 @@ from jaxik.ik.solutions import Found, at_home, candidates, cleared, judged, noth
 from jaxik.kinematics.joint_turns import endless, whole_turns
 from jaxik.kinematics.reach_bound import reach_bound
 from jaxik.reasons import Reason
+from jaxik.spmd.batch import in_blocks
 
 TOGETHER = (4, 64)  # lanes that cost less than another wave, in the first and in later ones
 EXACT = 1e-5  # tolerances [m, rad] at which what has no exact solution is out of reach
@@ -222,25 +223,17 @@ def _search_wave(problem: Problem, some: np.ndarray, wave: Wave, misses: Misses)
 def _starts(problem: Problem, some: np.ndarray, first: int, last: int) -> np.ndarray:
     """Seeds `first` to `last` of `some` targets, (len(some), last - first, n)."""
     split = min(max(problem.near, first), last)
-    if first == split:
-        return _anywhere(problem, some, first - problem.near, last - problem.near)
-    assert problem.reference is not None
-    reference = problem.reference[some] - whole_turns(endless(problem.robot), problem.reference[some])
-    near = seeds.near(problem.whole, problem.seed, first, split, reference)
-    return near if split == last else np.concatenate([near, _starts(problem, some, split, last)], axis=1)
-
-
-def _anywhere(problem: Problem, some: np.ndarray, first: int, last: int) -> np.ndarray:
-    """Seeds `first` to `last` of `some` targets by the strategy, (len(some), last - first, n)."""
-    robot, options, numbers = problem.robot, problem.options, (problem.inside, problem.seed, first, last)
+    if first < split:
+        assert problem.reference is not None
+        reference = problem.reference[some] - whole_turns(endless(problem.robot), problem.reference[some])
+        near = seeds.near(problem.whole, problem.seed, first, split, reference)
+        return near if split == last else np.concatenate([near, _starts(problem, some, split, last)], axis=1)
+    robot, numbers = problem.robot, (problem.inside, problem.seed, first - problem.near, last - problem.near)
     if problem.strategy == "closed_form":
         return seeds.branches(robot, *numbers, problem.poses[some])
     if problem.strategy == "library":
-        return seeds.library(robot, options.task, problem.unit, *numbers, problem.poses[some])
-    if problem.strategy == "low_discrepancy":
-        each = seeds.low_discrepancy(*numbers)
-    else:
-        each = seeds.uniforms(*numbers)
+        return seeds.library(robot, problem.options.task, problem.unit, *numbers, problem.poses[some])
+    each = (seeds.low_discrepancy if problem.strategy == "low_discrepancy" else seeds.uniforms)(*numbers)
     return np.broadcast_to(each, (len(some), *each.shape))
 
 
@@ -251,7 +244,8 @@ def _beyond_limits(problem: Problem, reason: np.ndarray, misses: Misses) -> np.n
     if not len(left):
         return reason
     if _is_known(problem) and not problem.options.locked:
-        has = seeds.any_branch(problem.robot, problem.poses[left])
+        _, valid, _ = in_blocks(closed_forms(problem.robot), problem.poses[left], np.zeros((len(left), 0)), double=True)
+        has = valid.any(axis=1)  # limits aside
         reason[left] = np.where(has, Reason.LIMITS, np.where(misses.close(reason)[left], OPEN, Reason.OUT_OF_REACH))
         left = left[~has]  # unless the posture that stands for many at a singular pose is none
     held = problem.low == problem.high  # what is locked stays so

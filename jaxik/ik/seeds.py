@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.analytic.families import solver_of
-from jaxik.analytic.solutions import BRANCHES, closed_form, closed_forms
+from jaxik.analytic.solutions import BRANCHES, closed_form
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
@@ -188,9 +188,3 @@ def _branch(robot: Robot, pose: Any, given: Any, number: Any, instead: Any, low:
     place = jnp.sum((past[None] < past[:, None]) | ((past[None] == past[:, None]) & (k[None] < k[:, None])), axis=1)
     mine = (place == rank) & valid
     return jnp.where(jnp.any(mine), jnp.sum(jnp.where(mine[:, None], q, 0.0), axis=0), instead)
-
-
-def any_branch(robot: Robot, poses: np.ndarray) -> np.ndarray:
-    """Whether six joints with a closed form have poses (N, 4, 4) at all, limits aside."""
-    _, valid, _ = in_blocks(closed_forms(robot), poses, np.zeros((len(poses), 0)), double=True)
-    return np.any(valid, axis=1)

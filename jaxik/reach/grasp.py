@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -61,10 +62,11 @@ def across(axis: Any, toward: tuple[float, float, float]) -> np.ndarray:
     return found / np.linalg.norm(found)
 
 
-def without_marked(scene: Scene, mark: Mark) -> Scene:
-    """The scene without the object that stands at a mark, which is no obstacle to what grasps it. Made once."""
-    there = mark.name in scene.object_names
-    return remembered(scene, ("without", mark.name), lambda: scene.without(mark.name) if there else scene)
+def without(scene: Scene, names: Collection[str]) -> Scene:
+    """The scene without objects of these names, as far as it has them: what stands at a mark is no obstacle to what grasps it,
+    nor what is picked to others. Made once."""
+    gone = tuple(name for name in scene.object_names if name in names)
+    return remembered(scene, ("without", *gone), lambda: scene.without(gone)) if gone else scene
 
 
 def approach_grid(angles: Any) -> np.ndarray:
