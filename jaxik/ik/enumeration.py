@@ -19,23 +19,9 @@ import numpy as np
 from jaxik.analytic.families import AnySix, any_solver_of, redundancy, scan_obstacle, solver_of
 from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, first_branches
 from jaxik.homotopy.general import GeneralArm, general_kernel
-from jaxik.ik import seeds
+from jaxik.ik import seeds, solutions
 from jaxik.ik.problem import Problem
-from jaxik.ik.solutions import (
-    Found,
-    at_home,
-    candidates,
-    cleared,
-    colliding,
-    far_apart,
-    first_most,
-    judged,
-    nothing,
-    portions,
-    scores,
-    top,
-    within,
-)
+from jaxik.ik.solutions import Found, at_home, candidates, nothing, scores
 from jaxik.ik.sqp_programs import solve_errors
 from jaxik.kinematics.joint_turns import nearest_turns
 from jaxik.kinematics.robot import Robot
@@ -87,7 +73,7 @@ def enumerated(problem: Problem, left: np.ndarray) -> Found:
         return found
     away, turned = solve_errors(problem.robot, problem.options.task, found.q, problem.poses[found.target])
     found = found._replace(position_error=away, rotation_error=turned)
-    return found.rows(within(found, problem.tolerance))
+    return found.rows(solutions.within(found, problem.tolerance))
 
 
 def _first(problem: Problem, left: np.ndarray) -> Found:
@@ -136,12 +122,13 @@ def _kept_of(problem: Problem, some: np.ndarray, first: int, last: int) -> Found
     """Finds the branches of `some` targets at points number `first` to `last` that do not collide, as many targets at a time as
     memory holds; keeps the best of each branch number where one answer is asked for, to be followed, else the best of all."""
     kept = []
-    for part in portions(some, last - first):
-        found, _ = judged(problem, _of_values(problem, part, first, last))
+    for part in solutions.portions(some, last - first):
+        found, _ = solutions.judged(problem, _of_values(problem, part, first, last))
         if problem.most > 1 or problem.robot.num_joints == 6:
             kept.append(_best(problem, found))
         else:
-            kept.append(found.rows(first_most(BRANCHES * found.target + found.seed % BRANCHES, scores(problem, found))))
+            branch = BRANCHES * found.target + found.seed % BRANCHES
+            kept.append(found.rows(solutions.first_most(branch, scores(problem, found))))
     return Found.joined(kept)
 
 
@@ -171,8 +158,8 @@ def _best(problem: Problem, found: Found) -> Found:
     """Keeps the best of each target by the choice, as many as are asked for."""
     score = scores(problem, found)
     if problem.most == 1:
-        return found.rows(top(found.target, score, 1, found.seed))
-    return found.rows(far_apart(problem, found, score, problem.most, problem.options.distinct))
+        return found.rows(solutions.top(found.target, score, 1, found.seed))
+    return found.rows(solutions.far_apart(problem, found, score, problem.most, problem.options.distinct))
 
 
 def _values(problem: Problem, first: int, last: int) -> np.ndarray:
@@ -203,8 +190,8 @@ def _followed(problem: Problem, found: Found) -> Found:
             (again.seed % BRANCHES).astype(np.int32),
             double=True,
         )
-        moved = cleared(problem, at_home(problem, again._replace(q=q)))
-        fits &= ~colliding(problem, moved)
+        moved = solutions.cleared(problem, at_home(problem, again._replace(q=q)))
+        fits &= ~solutions.colliding(problem, moved)
         both = Found.joined([found, moved.rows(fits)])
-        found = both.rows(top(np.concatenate([rows, row[fits]]), scores(problem, both), 1))
+        found = both.rows(solutions.top(np.concatenate([rows, row[fits]]), scores(problem, both), 1))
     return found

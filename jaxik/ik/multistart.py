@@ -27,28 +27,10 @@ import numpy as np
 
 from jaxik.analytic.families import solver_of
 from jaxik.analytic.solutions import BRANCHES, closed_forms
-from jaxik.ik import seeds
+from jaxik.ik import refinement, seeds
 from jaxik.ik.enumeration import enumerable, enumerated
 from jaxik.ik.problem import Problem
-from jaxik.ik.refinement import (
-    EARLY,
-    FINISHING,
-    OPEN,
-    PUSHED,
-    SOLVED,
-    STEPS,
-    Misses,
-    compile_finisher,
-    hopped,
-    improved,
-    is_fixed,
-    loosened,
-    pushed,
-    rescued,
-    searched,
-    settled,
-    settling,
-)
+from jaxik.ik.refinement import OPEN, SOLVED, STEPS, Misses
 from jaxik.ik.solutions import Found, at_home, candidates, cleared, judged, nothing, portions, top, within
 from jaxik.kinematics.joint_turns import endless, whole_turns
 from jaxik.kinematics.reach_bound import reach_bound
@@ -125,7 +107,7 @@ def _searched_for(problem: Problem, valid: np.ndarray) -> Outcome:
         if not problem.alone and _is_known(problem):
             problem, stages = _of_the_rest(problem)
     if OPEN in reason:
-        compile_finisher(settling(problem), problem.robot.num_joints)
+        refinement.compile_finisher(refinement.settling(problem), problem.robot.num_joints)
     for number, waves in enumerate(stages if OPEN in reason else ()):
         worth = misses.close(reason) if number else np.ones(len(reason), bool)
         while waves and len(left := np.flatnonzero(worth & (reason == OPEN))):
@@ -133,22 +115,22 @@ def _searched_for(problem: Problem, valid: np.ndarray) -> Outcome:
             for some in portions(left, wave.size):
                 note(*_search_wave(problem, some, wave, misses))
             if wave.rescues and OPEN in reason:  # what is left by now is near a singularity, or unreachable
-                note(*rescued(problem, misses, reason))
+                note(*refinement.rescued(problem, misses, reason))
             if wave.pushes and OPEN in reason:  # more seeds cost less than moving out of obstacles
                 blocked = [still_blocked()]
-                note((hopped if is_fixed(problem) else pushed)(problem, blocked[0], wave.pushes))
+                note(refinement.freed(problem, blocked[0], wave.pushes))
     if OPEN in reason:
-        note(*loosened(problem, misses, reason))
+        note(*refinement.loosened(problem, misses, reason))
     missed = none
     if OPEN in reason:
-        missed = cleared(problem, settled(problem, misses.nearest(1, reason), FINISHING))
+        missed = cleared(problem, refinement.settled(problem, misses.nearest(1, reason), refinement.FINISHING))
         landed = within(missed, problem.tolerance)
         note(*judged(problem, missed.rows(landed)))  # late, but they have the pose
         missed = missed.rows(~landed)
     problem = asked
     found = at_home(problem, Found.joined(answers))
     if problem.options.cost is not None:
-        found = improved(problem, found)
+        found = refinement.improved(problem, found)
     if (reason == SOLVED).all():
         return Outcome(reason, found, none, none)
     stuck = still_blocked()
@@ -194,9 +176,9 @@ def _waves(most: int, first_will_do: bool, scene: bool) -> tuple[Wave, ...]:
         Wave(
             first,
             last,
-            EARLY if last <= early else STEPS,
+            refinement.EARLY if last <= early else STEPS,
             number == min(rescue, len(ends)) or last == most,
-            0 if not scene else PUSHED[1] if last == most else PUSHED[0] if number == push else 0,
+            0 if not scene else refinement.PUSHED[1] if last == most else refinement.PUSHED[0] if number == push else 0,
         )
         for number, (first, last) in enumerate(itertools.pairwise([0, *ends]), 1)
     )
@@ -217,7 +199,7 @@ def _search_wave(problem: Problem, some: np.ndarray, wave: Wave, misses: Misses)
     """Searches `some` targets from the wave's seeds: the answers, and postures that have the pose and collide."""
     target, number = np.repeat(some, wave.size), np.tile(np.arange(wave.first, wave.last), len(some))
     start = _starts(problem, some, wave.first, wave.last).reshape(len(target), -1)
-    return searched(problem, candidates(start, target, number), wave.steps, misses)
+    return refinement.searched(problem, candidates(start, target, number), wave.steps, misses)
 
 
 def _starts(problem: Problem, some: np.ndarray, first: int, last: int) -> np.ndarray:

@@ -164,8 +164,11 @@ def goal(problem: Problem, cost: Cost | None = None) -> Goal:
     return Goal(options.task, cost, collision, options.activation, options.penalty)
 
 
-def pushed(problem: Problem, stuck: Found, count: int) -> Found:
-    """The answers that a search for clearance makes of the best few colliding postures of each target."""
+def freed(problem: Problem, stuck: Found, count: int) -> Found:
+    """The answers that a search for clearance makes of the best few colliding postures of each target; those on other branches
+    where the task leaves no joint free, so that a posture that has its pose cannot move."""
+    if int(np.sum(problem.low < problem.high)) <= sum(problem.options.task.bound):
+        return _hopped(problem, stuck, count)
     chosen = stuck.rows(far_apart(problem, stuck, stuck.clearance, count))
     if not len(chosen.q):
         return chosen
@@ -176,12 +179,7 @@ def pushed(problem: Problem, stuck: Found, count: int) -> Found:
     return judged(problem, finish(problem, moved, Misses(problem)))[0]
 
 
-def is_fixed(problem: Problem) -> bool:
-    """Whether a posture that has its pose cannot move: what collides is freed on another branch only."""
-    return int(np.sum(problem.low < problem.high)) <= sum(problem.options.task.bound)
-
-
-def hopped(problem: Problem, stuck: Found, count: int) -> Found:
+def _hopped(problem: Problem, stuck: Found, count: int) -> Found:
     """The answers on other branches than colliding postures: from these, with one joint mirrored or turned by half."""
     answers, reached = [nothing(problem)], stuck
     for _ in range(HOPS):
