@@ -62,12 +62,14 @@ def plan_harvest(
 
     Reasons: SOLVED; what `harvest` says of a fruit without a posture; COLLISION, LIMITS of all approaches, or retreats, from
     all postures; those of `plan_motion` for a transfer or transport; `where` says which. Raises `ValueError` for
-    arguments of a wrong shape, name or range, a home or a place that is not free, and without PyVRP (extra `harvest`) for the
-    shortest order. Sources: Suarez-Ruiz et al., RoboTSP, 2018; Wouda et al., PyVRP, 2024.
+    arguments of a wrong shape, name or range, no fruit, a home or a place that is not free, and without PyVRP (extra
+    `harvest`) for the shortest order. Sources: Suarez-Ruiz et al., RoboTSP, 2018; Wouda et al., PyVRP, 2024.
     """
     check_kind("plan_harvest", "harvest", harvest, HarvestResult)
     options = HarvestPlanOptions.chosen(options, changes)
     check_seed("plan_harvest", seed)
+    if not len(harvest):
+        raise ValueError("plan_harvest: a harvest of no fruit; give one or several of its rows")
     began = time.perf_counter()
     planner = _Planner(harvest, options, seed)
     planner.run(progress or (lambda done, total: None))
