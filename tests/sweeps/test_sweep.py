@@ -374,6 +374,7 @@ def test_crops_keep_clear_of_their_own_scene():
             "scenes and [collision] scene both say",
         ),
         ({"targets": {"poses": [[0, 1, 0]], "path": "a.csv"}}, "path and poses say the same"),
+        ({"targets": {"poses": [[0, 1, 0], [0, 1]]}}, "poses: list that is no array of numbers"),
         ({"base": {"y": []}}, "'y' holds no number"),
         ({"base": {"y": [0.0, float("inf")]}}, "'y' holds inf"),
         ({"parameters": {"slide.upper": []}}, "slide.upper holds no number"),
