@@ -104,6 +104,7 @@ def harvest(
     Henten et al. 2010, sec. 4, 5.1.
     """
     options = HarvestOptions.chosen(options, changes)
+    check_kind("harvest", "robot", robot, Robot)
     check_kind("harvest", "scene", scene, Scene)
     if not scene.marks:
         raise ValueError(f"scene '{scene.name}' has no fruit; add one with SceneBuilder.add_mark")

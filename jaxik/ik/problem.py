@@ -14,7 +14,7 @@ import numpy as np
 from jaxik.analytic.families import closed_form_obstacle
 from jaxik.checks import arrays as given
 from jaxik.checks.arrays import RIGID
-from jaxik.checks.options import check_collision, check_finite, check_seed, shown
+from jaxik.checks.options import check_collision, check_finite, check_kind, check_seed, shown
 from jaxik.collision.bvh import Grouped, at_margin, grouped, obstacles_in
 from jaxik.collision.clearances import has_geometry
 from jaxik.collision.scene import Scene
@@ -228,7 +228,9 @@ class Problem:
 
 def is_looked_at(who: str, robot: Robot, scene: Scene | None, collision: bool) -> bool:
     """Whether a robot's clearance is looked at: to a scene; without one to itself, where it has links that may hit. Raises
-    `ValueError` for a scene with `collision=False`."""
+    `ValueError` for what is no robot or no scene, and for a scene with `collision=False`."""
+    check_kind(who, "robot", robot, Robot)
+    check_kind(who, "scene", scene, Scene, optional=True)
     check_collision(who, collision, scene)
     return collision and (scene is not None or (has_geometry(robot) and bool(robot.self_pairs)))
 

@@ -104,14 +104,14 @@ def log_reach_score(
 ) -> Float[Array, ""]:
     """The logarithm of `reach_score`, to add up over targets and climb: it has a slope metres away too, where the score itself
     is 0 to the last bit. Traced. Raises `ValueError` for other shapes."""
-    poses, q = as_numbers("poses", poses), as_numbers("q", q)
+    looked, poses, q = is_looked_at("reach_score", robot, scene, collision), as_numbers("poses", poses), as_numbers("q", q)
     if poses.shape != (*q.shape[:1], 4, 4) or q.shape[1:] != (robot.num_joints,) or not len(q):
         raise ValueError(
             f"poses {poses.shape} and q {q.shape}; {robot.name} takes (k, 4, 4) and (k, {robot.num_joints}), k >= 1"
         )
     as_shaped("margin", margin, ())
     as_shaped("temperature", temperature, ())
-    around = grouped(scene, robot) if is_looked_at("reach_score", robot, scene, collision) else None
+    around = grouped(scene, robot) if looked else None
     each = jax.vmap(lambda pose, posture: _worth(robot, around, pose, posture, margin, temperature))
     best = temperature * jax.nn.logsumexp(each(poses, q) / temperature)
     return jax.nn.log_sigmoid(best / WIDTH)
@@ -171,6 +171,7 @@ def likely_postures(
     It is for robots with a closed form; others take the answers of `solve_ik`. Without a scene the robot keeps clear of itself;
     with `collision=False` no clearance counts. Raises `ValueError` where the robot has no closed form, or no pose is one.
     """
+    looked = is_looked_at("likely_postures", robot, scene, collision)
     poses, count = as_poses("likely_postures", poses), as_count("likely_postures: count", count)
     check_finite("likely_postures", margin=margin)
     if not np.isfinite(poses).all(axis=(1, 2)).any():
@@ -182,9 +183,7 @@ def likely_postures(
     pose, lead = np.divmod(np.arange(len(poses) * len(leading)), len(leading))
     q, _, _ = in_blocks(closed_forms(arm_of(robot)), local[pose], leading[lead], double=False)
     q, pose = q.reshape(-1, robot.num_joints), np.repeat(pose, BRANCHES)
-    around = None
-    if is_looked_at("likely_postures", robot, scene, collision):
-        around = grouped(None if scene is None else scene.moved(base_T_world), robot)
+    around = grouped(None if scene is None else scene.moved(base_T_world), robot) if looked else None
     home = robot.mounted(np.eye(4))
     (worth,) = in_blocks(_worths(home), local[pose], q, fixed=(around, margin), double=False)
     best = np.argsort(-np.where(np.isfinite(worth), worth, -np.inf), kind="stable")[:count]
