@@ -60,6 +60,10 @@ class Pytree:
         same = structure == other_structure  # type: ignore[operator]
         return same and all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
 
+    def __hash__(self) -> int:
+        """The hash of the structure alone, which what is equal shares: numbers may be traced."""
+        return hash(jax.tree_util.tree_structure(self))
+
     def __repr__(self) -> str:
         """The fields, arrays by their type and shape."""
         shown = lambda x: f"{x.dtype}{list(x.shape)}" if hasattr(x, "dtype") and hasattr(x, "shape") else repr(x)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxik.checks.options import as_count, check_seed
 from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import SceneBuilder
 
@@ -18,8 +19,12 @@ from jaxik.collision.scene_builder import SceneBuilder
 def make_row(*, seed: int = 0, plants: int = 5, leaves: int = 4, fruits: int = 12) -> Scene:
     """A cucumber row: `plants` stems 0.25 m apart, each with `leaves` leaves in the robot's reach, and `fruits`. Host.
 
-    The same seed gives the same scene; that of 0 is the shipped `cucumber_row`.
+    The same seed gives the same scene; that of 0 is the shipped `cucumber_row`. Raises `ValueError` for what is no count, and
+    for no plant.
     """
+    check_seed("make_row", seed)
+    plants = as_count("make_row: plants", plants)
+    leaves, fruits = as_count("make_row: leaves", leaves, least=0), as_count("make_row: fruits", fruits, least=0)
     rng = np.random.default_rng(seed)
     builder = SceneBuilder(name=f"cucumber_row_{seed}", point_radius=0.01)
     start = 0.5 - 0.125 * (plants - 1)

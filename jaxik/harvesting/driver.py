@@ -14,8 +14,7 @@ from jaxik.collision.clearances import check_geometry
 from jaxik.collision.contact_report import warn_of_scene
 from jaxik.collision.scene import Scene
 from jaxik.harvesting.blocking_objects import unblocked
-from jaxik.harvesting.grid_refinement import recover
-from jaxik.harvesting.scanning import ScanOptions, ScanResult, scan
+from jaxik.harvesting.scanning import ScanOptions, ScanResult, recover, scan
 from jaxik.kinematics.forward import pose_errors
 from jaxik.kinematics.robot import Robot
 from jaxik.pytree import static
@@ -105,6 +104,7 @@ def harvest(
     Henten et al. 2010, sec. 4, 5.1.
     """
     options = HarvestOptions.chosen(options, changes)
+    check_kind("harvest", "robot", robot, Robot)
     check_kind("harvest", "scene", scene, Scene)
     if not scene.marks:
         raise ValueError(f"scene '{scene.name}' has no fruit; add one with SceneBuilder.add_mark")

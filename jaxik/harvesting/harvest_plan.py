@@ -91,9 +91,6 @@ class HarvestMotion(Motion):
     """Samples of all stages, one after another: q, velocity, acceleration (i, n), time (i,), and the number of each one's
     `stage` (i,)."""
 
-    velocity: Any = None
-    acceleration: Any = None
-    time: Any = None
     stage: Any = None
 
 

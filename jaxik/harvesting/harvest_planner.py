@@ -28,6 +28,7 @@ from jaxik.planning.collision_checker import CollisionChecker, judged, touched
 from jaxik.planning.limits import motion_limits
 from jaxik.planning.planner import PlanOptions, plan_motion, postures
 from jaxik.planning.trajectory import Trajectory
+from jaxik.reach.grasp import without
 from jaxik.reasons import Reason
 
 DETOUR = 1.3  # times as long as straight, what a leg is taken to be that may not be straight, until it is planned
@@ -60,33 +61,19 @@ def plan_harvest(
 
     Reasons: SOLVED; what `harvest` says of a fruit without a posture; COLLISION, LIMITS of all approaches, or retreats, from
     all postures; those of `plan_motion` for a transfer or transport; `where` says which. Raises `ValueError` for
-    arguments of a wrong shape, name or range, a home or a place that is not free, and without PyVRP (extra `harvest`) for the
-    shortest order. Sources: Suarez-Ruiz et al., RoboTSP, 2018; Wouda et al., PyVRP, 2024.
+    arguments of a wrong shape, name or range, no fruit, a home or a place that is not free, and without PyVRP (extra
+    `harvest`) for the shortest order. Sources: Suarez-Ruiz et al., RoboTSP, 2018; Wouda et al., PyVRP, 2024.
     """
     check_kind("plan_harvest", "harvest", harvest, HarvestResult)
     options = HarvestPlanOptions.chosen(options, changes)
     check_seed("plan_harvest", seed)
+    if not len(harvest):
+        raise ValueError("plan_harvest: a harvest of no fruit; give one or several of its rows")
     began = time.perf_counter()
     planner = _Planner(harvest, options, seed)
     planner.run(progress or (lambda done, total: None))
     plan = HarvestPlan.stacked([planner.rows[row.fruit] for row in harvest])
     return dataclasses.replace(plan, stages=tuple(planner.stages), seconds=time.perf_counter() - began)
-
-
-class _Surroundings:
-    """The scene at each level of care, with leaves, and without as far as they may be touched; less what is picked."""
-
-    def __init__(self, scene: Scene, leaves: str):
-        self.scene, self.removable = scene, np.array(scene.removable, bool)
-        bare = scene.without(np.flatnonzero(self.removable))
-        self.levels = {"avoid": (scene,), "brush": (scene, bare), "ignore": (bare,)}[leaves]
-        self.known: dict[Any, list[Scene]] = {}
-
-    def each(self, gone: frozenset[str]) -> list[Scene]:
-        if gone not in self.known:
-            names = [name for name in self.scene.object_names if name in gone]
-            self.known[gone] = [level.without(names) if names else level for level in self.levels]
-        return self.known[gone]
 
 
 class _Planner:
@@ -95,7 +82,9 @@ class _Planner:
     def __init__(self, harvest: HarvestResult, options: HarvestPlanOptions, seed: int):
         self.harvest, self.options, self.seed = harvest, options, seed
         self.robot, scene, asked = harvest.robot, harvest.scene, harvest.options
-        self.around = _Surroundings(scene, options.leaves)
+        self.scene, self.removable = scene, np.array(scene.removable, bool)
+        bare = scene.without(np.flatnonzero(self.removable))
+        self.levels = {"avoid": (scene,), "brush": (scene, bare), "ignore": (bare,)}[options.leaves]
         limits = {"velocity": options.velocity, "acceleration": options.acceleration}
         self.motion = PlanOptions(margin=options.margin, rounds=options.rounds, **limits)
         self.limits = motion_limits("plan_harvest", self.robot, **limits, shape=(self.robot.num_joints,))
@@ -107,11 +96,15 @@ class _Planner:
         self.rows: dict[str, HarvestPlan] = {}
         self.stages: list[Stage] = []
 
+    def around(self, gone: frozenset[str]) -> list[Scene]:
+        """The scene at each level of care, with leaves, and without as far as they may be touched; less what is picked."""
+        return [without(level, gone) for level in self.levels]
+
     def free(self, name: str, given: Any) -> np.ndarray:
         """The configurations (p, n) of a home or a place that are free. Raises `ValueError` where none is."""
         n, asked = self.robot.num_joints, numbers(f"plan_harvest: {name}", given)
         several = name == "place"
-        scene = self.around.levels[-1]
+        scene = self.levels[-1]
         if several and asked.shape[-2:] == (4, 4) and asked.ndim <= 3 and (n != 4 or asked.ndim == 3):
             poses = asked.reshape(-1, 4, 4)
             near, bound = np.tile(self.home, (len(poses), 1)), (self.options.task, self.options.margin)
@@ -159,7 +152,7 @@ class _Planner:
             angles, q = np.append(row.angle, angles), np.concatenate([row.q[None], q])
         if not len(q):
             return Picks(row.fruit, row.reason, "posture")
-        for scene in self.around.each(gone):
+        for scene in self.around(gone):
             found = find_picks(self.robot, scene, row.scan.fruit, angles, q, self.way)
             if found.reason == Reason.SOLVED:
                 return self.counted(found) if self.options.leaves == "brush" else found
@@ -168,15 +161,13 @@ class _Planner:
         return found._replace(blockers=blocking or found.blockers)
 
     def leaves(self, arm: Robot, q: np.ndarray, fruit: str) -> np.ndarray:
-        """Whether each configuration (b, n) touches each object that may be removed (b, objects)."""
-        scene = self.around.scene
-        others = scene.without([fruit]) if fruit in scene.object_names else scene
-        return touched(arm, others, q, 0.0) & self.around.removable
+        """Whether any configuration (b, n) touches each object that may be removed (objects,)."""
+        return np.any(touched(arm, without(self.scene, [fruit]), q, 0.0) & self.removable, axis=0)
 
     def counted(self, found: Picks) -> Picks:
         """Adds how many leaves are touched on the lines of each row."""
         there, back = (moved.path.coefficients[:, :, 3] for moved in (found.approach, found.retreat))
-        hit = lambda arm, q: self.leaves(arm, q, found.fruit).any(axis=0)
+        hit = lambda arm, q: self.leaves(arm, q, found.fruit)
         rows = zip(found.held, there, back, strict=True)
         return found._replace(touched=np.array([np.sum(hit(self.robot, a) | hit(arm, b)) for arm, a, b in rows]))
 
@@ -204,8 +195,8 @@ class _Planner:
         stage = Stage(kind, fruit, self.stages[-1].end if self.stages else 0.0, trajectory)
         if fruit and self.options.leaves != "avoid":
             arm = held if held is not None and stage.carries else self.robot
-            hit = self.leaves(arm, np.asarray(trajectory.sample(PERIOD).q), fruit).any(axis=0)
-            stage = stage._replace(leaves=tuple(self.around.scene.object_names[i] for i in np.flatnonzero(hit)))
+            hit = self.leaves(arm, np.asarray(trajectory.sample(PERIOD).q), fruit)
+            stage = stage._replace(leaves=tuple(self.scene.object_names[i] for i in np.flatnonzero(hit)))
         self.stages.append(stage)
 
 
@@ -227,8 +218,8 @@ class _Tour:
         counts = np.cumsum([1, *(len(each.seconds) for each in picks)])
         self.groups = {p.fruit: np.arange(a, b) for p, a, b in zip(picks, counts, counts[1:], strict=False)}
         self.nodes = len(self.members) + 1
-        self.begins = np.concatenate([at[None], *(p.exit for p in picks), planner.places])
-        self.ends = np.concatenate([planner.home[None], *(p.entry for p in picks), planner.places])
+        self.begins = np.concatenate([at[None], *(ends(p.retreat)[1] for p in picks), planner.places])
+        self.ends = np.concatenate([planner.home[None], *(ends(p.approach)[0] for p in picks), planner.places])
         self.own = np.concatenate([[0.0], *(p.seconds + planner.options.leaf_time * p.touched for p in picks)])
         self.seconds = self.estimated()
         self.legs: dict[tuple[int, int], _Leg] = {}
@@ -242,7 +233,7 @@ class _Tour:
         """The time that each leg takes, as if it were straight [s]."""
         planner = self.planner
         seconds = planner.limits.straight(self.ends[None] - self.begins[:, None])
-        space = CollisionChecker(planner.robot, planner.around.each(self.gone)[0], planner.options.margin)
+        space = CollisionChecker(planner.robot, planner.around(self.gone)[0], planner.options.margin)
         a, b = (x.ravel() for x in np.indices(seconds.shape))
         part = space.free_part(self.begins[a], self.ends[b], STEP).reshape(seconds.shape)
         return np.where(part < 1.0, DETOUR, 1.0) * seconds
@@ -278,7 +269,7 @@ class _Tour:
         while self.groups and not (best[1] and revised >= REVISED):
             costs, revised = self.costs()[0], revised + 1
             nodes = self.ordered(costs, revised > 1 and self.planner.options.order == "shortest")
-            if _length(costs, nodes) >= WORTH * best[0]:
+            if costs[[0, *nodes], [*nodes, 0]].sum() >= WORTH * best[0]:
                 break
             legs, new = self.plan_along(nodes)
             motions = [leg.trajectory for leg in legs.values() if leg.trajectory is not None]
@@ -310,7 +301,7 @@ class _Tour:
             picks, row = self.members[a - 1]
             arm = picks.held[row]
         straight = planner.limits.straight(self.ends[b] - self.begins[a])
-        for scene in planner.around.each(gone):
+        for scene in planner.around(gone):
             tries = []
             for attempt in range(ATTEMPTS):  # a search finds another way with another seed
                 moved = plan_motion(
@@ -336,10 +327,6 @@ class _Tour:
                     del self.groups[fruit]
                     where = "transfer" if self.fruit(b) else "transport"
                     self.planner.rows[fruit] = self.planner.row(fruit, leg.reason, where)
-
-
-def _length(costs: np.ndarray, nodes: Sequence[int]) -> float:
-    return float(costs[[0, *nodes], [*nodes, 0]].sum())
 
 
 def _ranks(fruits: Sequence[Mark], order: Any) -> dict[str, int]:

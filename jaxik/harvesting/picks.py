@@ -24,7 +24,7 @@ from jaxik.planning.collision_checker import CollisionChecker, touched
 from jaxik.planning.limits import Limits
 from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory
-from jaxik.reach.grasp import Grasp
+from jaxik.reach.grasp import Grasp, without
 from jaxik.reasons import Reason
 from jaxik.spmd.batch import in_blocks
 
@@ -53,16 +53,6 @@ class Picks(NamedTuple):
     held: tuple[Robot, ...] = ()
     blockers: tuple[str, ...] = ()
 
-    @property
-    def entry(self) -> np.ndarray:
-        """Where the approaches begin (b, n)."""
-        return ends(self.approach)[0]
-
-    @property
-    def exit(self) -> np.ndarray:
-        """Where the retreats end (b, n)."""
-        return ends(self.retreat)[1]
-
 
 class Way(NamedTuple):
     """The options of how a fruit may be picked: see `HarvestPlanOptions`. `clear` is the margin of the grasp itself."""
@@ -85,7 +75,7 @@ def ends(moved: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 def find_picks(robot: Robot, scene: Scene, fruit: Mark, angles: np.ndarray, q: np.ndarray, way: Way) -> Picks:
     """The ways to pick a fruit from postures `q` (b, n), best first, at `angles` (b,) about its axis, among what is in the
     scene; `way.candidates` of them that differ much. Host driver."""
-    others = scene.without([fruit.name]) if fruit.name in scene.object_names else scene
+    others = without(scene, [fruit.name])
     free, whole = CollisionChecker(robot, others, way.margin), CollisionChecker(robot, scene, way.margin)
     kept = ~free.hits(q, way.clear - way.margin)
     if not kept.any():
@@ -101,7 +91,9 @@ def find_picks(robot: Robot, scene: Scene, fruit: Mark, angles: np.ndarray, q: n
         if len(held) >= most:
             break
     if not held:
-        return Picks(fruit.name, Reason.COLLISION, "retreat", blockers=_in_the_way(arm, others, found.lines[rows], way.margin))
+        share = touched(arm, others, found.lines[rows, -1], way.margin).mean(axis=0)  # by the last samples of the lines
+        in_the_way = tuple(others.object_names[i] for i in np.argsort(-share, kind="stable")[:3] if share[i] > 0.0)
+        return Picks(fruit.name, Reason.COLLISION, "retreat", blockers=in_the_way)
     paths = jax.tree_util.tree_map(lambda *x: np.concatenate(x)[:most], *both)
     there, back = (time_path(path, **way.limits._asdict(), places=512) for path in paths)
     seconds = np.asarray(there.duration + back.duration)
@@ -211,12 +203,6 @@ def _retreats(
         sure[order[-1]] = True
     joined = jax.tree_util.tree_map(lambda *x: np.concatenate(x), *paths)
     return rows_of(joined, np.argsort(np.concatenate(order))), sure
-
-
-def _in_the_way(arm: Robot, others: Scene, lines: np.ndarray, margin: float) -> tuple[str, ...]:
-    """The objects that are touched by most of the last samples of lines (b, k, n), at most three."""
-    share = touched(arm, others, lines[:, -1], margin).mean(axis=0)
-    return tuple(others.object_names[i] for i in np.argsort(-share, kind="stable")[:3] if share[i] > 0.0)
 
 
 def _any_hit(space: CollisionChecker, lines: np.ndarray) -> np.ndarray:

@@ -19,24 +19,10 @@ import numpy as np
 from jaxik.analytic.families import AnySix, any_solver_of, redundancy, scan_obstacle, solver_of
 from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, first_branches
 from jaxik.homotopy.general import GeneralArm, general_kernel
-from jaxik.ik import seeds
+from jaxik.ik import seeds, solutions
 from jaxik.ik.problem import Problem
-from jaxik.ik.solutions import (
-    Found,
-    at_home,
-    candidates,
-    cleared,
-    colliding,
-    far_apart,
-    first_most,
-    judged,
-    nothing,
-    portions,
-    scores,
-    top,
-    within,
-)
-from jaxik.ik.sqp_programs import batch, errors
+from jaxik.ik.solutions import Found, at_home, candidates, nothing, scores
+from jaxik.ik.sqp_programs import solve_errors
 from jaxik.kinematics.joint_turns import nearest_turns
 from jaxik.kinematics.robot import Robot
 from jaxik.spmd.batch import in_blocks
@@ -83,8 +69,11 @@ def enumerated(problem: Problem, left: np.ndarray) -> Found:
         found = _best(problem, Found.joined([found, *followed]))
     else:
         found = (_first if problem.most == 1 and problem.scene is None else _several)(problem, left)
-    found = measured(problem, found)
-    return found.rows(within(found, problem.tolerance))
+    if not len(found.q):
+        return found
+    away, turned = solve_errors(problem.robot, problem.options.task, found.q, problem.poses[found.target])
+    found = found._replace(position_error=away, rotation_error=turned)
+    return found.rows(solutions.within(found, problem.tolerance))
 
 
 def _first(problem: Problem, left: np.ndarray) -> Found:
@@ -130,10 +119,17 @@ def _tries(problem: Problem, targets: int) -> list[int]:
 
 
 def _kept_of(problem: Problem, some: np.ndarray, first: int, last: int) -> Found:
-    """Finds the branches of `some` targets at points number `first` to `last` that do not collide and that `_kept` keeps, as
-    many targets at a time as memory holds."""
-    parts = (judged(problem, _of_values(problem, part, first, last))[0] for part in portions(some, last - first))
-    return Found.joined([_kept(problem, part) for part in parts])
+    """Finds the branches of `some` targets at points number `first` to `last` that do not collide, as many targets at a time as
+    memory holds; keeps the best of each branch number where one answer is asked for, to be followed, else the best of all."""
+    kept = []
+    for part in solutions.portions(some, last - first):
+        found, _ = solutions.judged(problem, _of_values(problem, part, first, last))
+        if problem.most > 1 or problem.robot.num_joints == 6:
+            kept.append(_best(problem, found))
+        else:
+            branch = BRANCHES * found.target + found.seed % BRANCHES
+            kept.append(found.rows(solutions.first_most(branch, scores(problem, found))))
+    return Found.joined(kept)
 
 
 def _of_values(problem: Problem, some: np.ndarray, first: int, last: int) -> Found:
@@ -158,30 +154,17 @@ def _of_general(problem: Problem, arm: GeneralArm, some: np.ndarray) -> Found:
     return candidates(q, target, number).rows(np.all((low <= q) & (q <= high), axis=1))
 
 
-def _kept(problem: Problem, found: Found) -> Found:
-    """Keeps the best of each branch number where one answer is asked for, to be followed; else the best of all."""
-    if problem.most > 1 or problem.robot.num_joints == 6:
-        return _best(problem, found)
-    return found.rows(first_most(BRANCHES * found.target + found.seed % BRANCHES, scores(problem, found)))
-
-
 def _best(problem: Problem, found: Found) -> Found:
     """Keeps the best of each target by the choice, as many as are asked for."""
     score = scores(problem, found)
     if problem.most == 1:
-        return found.rows(top(found.target, score, 1, found.seed))
-    return found.rows(far_apart(problem, found, score, problem.most, problem.options.distinct))
-
-
-def _range(problem: Problem) -> seeds.Range:
-    """The range of what the closed form is given."""
-    low, high = solver_of(problem.robot).given_range(problem.inside.low, problem.inside.high)
-    return seeds.Range(tuple(low.tolist()), tuple(high.tolist()))
+        return found.rows(solutions.top(found.target, score, 1, found.seed))
+    return found.rows(solutions.far_apart(problem, found, score, problem.most, problem.options.distinct))
 
 
 def _values(problem: Problem, first: int, last: int) -> np.ndarray:
     """Points number `first` to `last` (not counted) of a low-discrepancy sequence over what is given, (last - first, k)."""
-    inside = _range(problem)
+    inside = problem.inside.given(problem.robot)
     if not inside.low:
         return np.zeros((1, 0))
     return seeds.low_discrepancy(inside, problem.seed, first, last)
@@ -191,7 +174,7 @@ def _followed(problem: Problem, found: Found) -> Found:
     """Each answer, or a better one by the choice: of the same branch, at points ever nearer to what it is given itself."""
     if not len(found.q):
         return found
-    inside, rows = _range(problem), np.arange(len(found.q))
+    inside, rows = problem.inside.given(problem.robot), np.arange(len(found.q))
     low, high = np.array(inside.low), np.array(inside.high)
     share = seeds.low_discrepancy(seeds.Range((-1.0,) * len(low), (1.0,) * len(low)), problem.seed, 0, ZOOMED)
     width = (high - low) / problem.options.max_seeds ** (1.0 / len(low))
@@ -207,17 +190,8 @@ def _followed(problem: Problem, found: Found) -> Found:
             (again.seed % BRANCHES).astype(np.int32),
             double=True,
         )
-        moved = cleared(problem, at_home(problem, again._replace(q=q)))
-        fits &= ~colliding(problem, moved)
+        moved = solutions.cleared(problem, at_home(problem, again._replace(q=q)))
+        fits &= ~solutions.colliding(problem, moved)
         both = Found.joined([found, moved.rows(fits)])
-        found = both.rows(top(np.concatenate([rows, row[fits]]), scores(problem, both), 1))
+        found = both.rows(solutions.top(np.concatenate([rows, row[fits]]), scores(problem, both), 1))
     return found
-
-
-def measured(problem: Problem, found: Found) -> Found:
-    """Measures the errors of the tips, in float64."""
-    if not len(found.q):
-        return found
-    program = batch(2, errors, problem.robot, problem.options.task)
-    away, turned = in_blocks(program, found.q, problem.poses[found.target], double=True)
-    return found._replace(position_error=away, rotation_error=turned)

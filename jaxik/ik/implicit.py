@@ -49,10 +49,10 @@ def implicit_ik(
 
     Raises `ValueError` for a target, q or margin of another shape. Source: Fiacco 1976, through `optimise.implicit`.
     """
-    q = as_configuration(robot, q)
+    looked, q = is_looked_at("implicit_ik", robot, scene, collision), as_configuration(robot, q)
     as_numbers("target", target, (4, 4))
     as_numbers("margin", margin, ())
-    dtype, looked = q.dtype, is_looked_at("implicit_ik", robot, scene, collision)
+    dtype = q.dtype
 
     # what is traced may be differentiated; the rest stays concrete and folds, which spares half the compile time
     leaves, tree = jax.tree_util.tree_flatten((robot, target, scene, lax.stop_gradient(q)))

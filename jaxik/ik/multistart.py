@@ -26,31 +26,16 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.analytic.families import solver_of
-from jaxik.analytic.solutions import BRANCHES
-from jaxik.ik import seeds
+from jaxik.analytic.solutions import BRANCHES, closed_forms
+from jaxik.ik import refinement, seeds
 from jaxik.ik.enumeration import enumerable, enumerated
 from jaxik.ik.problem import Problem
-from jaxik.ik.refinement import (
-    EARLY,
-    OPEN,
-    PUSHED,
-    SOLVED,
-    STEPS,
-    Misses,
-    compile_finisher,
-    hopped,
-    improved,
-    is_fixed,
-    loosened,
-    pushed,
-    rescued,
-    searched,
-    settling,
-)
+from jaxik.ik.refinement import OPEN, SOLVED, STEPS, Misses
 from jaxik.ik.solutions import Found, at_home, candidates, cleared, judged, nothing, portions, top, within
 from jaxik.kinematics.joint_turns import endless, whole_turns
 from jaxik.kinematics.reach_bound import reach_bound
 from jaxik.reasons import Reason
+from jaxik.spmd.batch import in_blocks
 
 TOGETHER = (4, 64)  # lanes that cost less than another wave, in the first and in later ones
 EXACT = 1e-5  # tolerances [m, rad] at which what has no exact solution is out of reach
@@ -122,7 +107,7 @@ def _searched_for(problem: Problem, valid: np.ndarray) -> Outcome:
         if not problem.alone and _is_known(problem):
             problem, stages = _of_the_rest(problem)
     if OPEN in reason:
-        compile_finisher(settling(problem), problem.robot.num_joints)
+        refinement.compile_finisher(refinement.settling(problem), problem.robot.num_joints)
     for number, waves in enumerate(stages if OPEN in reason else ()):
         worth = misses.close(reason) if number else np.ones(len(reason), bool)
         while waves and len(left := np.flatnonzero(worth & (reason == OPEN))):
@@ -130,22 +115,22 @@ def _searched_for(problem: Problem, valid: np.ndarray) -> Outcome:
             for some in portions(left, wave.size):
                 note(*_search_wave(problem, some, wave, misses))
             if wave.rescues and OPEN in reason:  # what is left by now is near a singularity, or unreachable
-                note(*rescued(problem, misses.near(reason)))
+                note(*refinement.rescued(problem, misses, reason))
             if wave.pushes and OPEN in reason:  # more seeds cost less than moving out of obstacles
                 blocked = [still_blocked()]
-                note((hopped if is_fixed(problem) else pushed)(problem, blocked[0], wave.pushes))
+                note(refinement.freed(problem, blocked[0], wave.pushes))
     if OPEN in reason:
-        note(*loosened(problem, misses.loose(reason)))
+        note(*refinement.loosened(problem, misses, reason))
     missed = none
     if OPEN in reason:
-        missed = misses.nearest(reason)
+        missed = cleared(problem, refinement.settled(problem, misses.nearest(1, reason), refinement.FINISHING))
         landed = within(missed, problem.tolerance)
         note(*judged(problem, missed.rows(landed)))  # late, but they have the pose
         missed = missed.rows(~landed)
     problem = asked
     found = at_home(problem, Found.joined(answers))
     if problem.options.cost is not None:
-        found = improved(problem, found)
+        found = refinement.improved(problem, found)
     if (reason == SOLVED).all():
         return Outcome(reason, found, none, none)
     stuck = still_blocked()
@@ -191,9 +176,9 @@ def _waves(most: int, first_will_do: bool, scene: bool) -> tuple[Wave, ...]:
         Wave(
             first,
             last,
-            EARLY if last <= early else STEPS,
+            refinement.EARLY if last <= early else STEPS,
             number == min(rescue, len(ends)) or last == most,
-            0 if not scene else PUSHED[1] if last == most else PUSHED[0] if number == push else 0,
+            0 if not scene else refinement.PUSHED[1] if last == most else refinement.PUSHED[0] if number == push else 0,
         )
         for number, (first, last) in enumerate(itertools.pairwise([0, *ends]), 1)
     )
@@ -214,31 +199,23 @@ def _search_wave(problem: Problem, some: np.ndarray, wave: Wave, misses: Misses)
     """Searches `some` targets from the wave's seeds: the answers, and postures that have the pose and collide."""
     target, number = np.repeat(some, wave.size), np.tile(np.arange(wave.first, wave.last), len(some))
     start = _starts(problem, some, wave.first, wave.last).reshape(len(target), -1)
-    return searched(problem, candidates(start, target, number), wave.steps, misses)
+    return refinement.searched(problem, candidates(start, target, number), wave.steps, misses)
 
 
 def _starts(problem: Problem, some: np.ndarray, first: int, last: int) -> np.ndarray:
     """Seeds `first` to `last` of `some` targets, (len(some), last - first, n)."""
     split = min(max(problem.near, first), last)
-    if first == split:
-        return _anywhere(problem, some, first - problem.near, last - problem.near)
-    assert problem.reference is not None
-    reference = problem.reference[some] - whole_turns(endless(problem.robot), problem.reference[some])
-    near = seeds.near(problem.whole, problem.seed, first, split, reference)
-    return near if split == last else np.concatenate([near, _starts(problem, some, split, last)], axis=1)
-
-
-def _anywhere(problem: Problem, some: np.ndarray, first: int, last: int) -> np.ndarray:
-    """Seeds `first` to `last` of `some` targets by the strategy, (len(some), last - first, n)."""
-    robot, options, numbers = problem.robot, problem.options, (problem.inside, problem.seed, first, last)
+    if first < split:
+        assert problem.reference is not None
+        reference = problem.reference[some] - whole_turns(endless(problem.robot), problem.reference[some])
+        near = seeds.near(problem.whole, problem.seed, first, split, reference)
+        return near if split == last else np.concatenate([near, _starts(problem, some, split, last)], axis=1)
+    robot, numbers = problem.robot, (problem.inside, problem.seed, first - problem.near, last - problem.near)
     if problem.strategy == "closed_form":
         return seeds.branches(robot, *numbers, problem.poses[some])
     if problem.strategy == "library":
-        return seeds.library(robot, options.task, problem.unit, *numbers, problem.poses[some])
-    if problem.strategy == "low_discrepancy":
-        each = seeds.low_discrepancy(*numbers)
-    else:
-        each = seeds.uniforms(*numbers)
+        return seeds.library(robot, problem.options.task, problem.unit, *numbers, problem.poses[some])
+    each = (seeds.low_discrepancy if problem.strategy == "low_discrepancy" else seeds.uniforms)(*numbers)
     return np.broadcast_to(each, (len(some), *each.shape))
 
 
@@ -249,13 +226,14 @@ def _beyond_limits(problem: Problem, reason: np.ndarray, misses: Misses) -> np.n
     if not len(left):
         return reason
     if _is_known(problem) and not problem.options.locked:
-        has = seeds.any_branch(problem.robot, problem.poses[left])
+        _, valid, _ = in_blocks(closed_forms(problem.robot), problem.poses[left], np.zeros((len(left), 0)), double=True)
+        has = valid.any(axis=1)  # limits aside
         reason[left] = np.where(has, Reason.LIMITS, np.where(misses.close(reason)[left], OPEN, Reason.OUT_OF_REACH))
         left = left[~has]  # unless the posture that stands for many at a singular pose is none
     held = problem.low == problem.high  # what is locked stays so
     up_to = lambda bound: (np.where(held, problem.low, -bound), np.where(held, problem.high, bound))
     low, high = up_to(np.inf)
-    inside = seeds.Range(*(tuple(bound.tolist()) for bound in up_to(np.pi)))
+    inside = seeds.Range.of(*up_to(np.pi))
     free = dataclasses.replace(problem, scene=None, low=low, high=high, inside=inside, choice="first")
     for some in portions(left, UNLIMITED):
         found, _ = _search_wave(free, some, Wave(0, UNLIMITED, STEPS, False, 0), Misses(problem))

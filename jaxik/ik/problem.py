@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxik.analytic.families import closed_form_obstacle
 from jaxik.checks.arrays import RIGID, is_rigid, numbers
-from jaxik.checks.options import check_collision, check_finite, check_seed, shown
+from jaxik.checks.options import check_collision, check_finite, check_kind, check_seed, shown
 from jaxik.collision.bvh import Grouped, at_margin, grouped, obstacles_in
 from jaxik.collision.clearances import has_geometry
 from jaxik.collision.scene import Scene
@@ -224,7 +224,9 @@ class Problem:
 
 def is_looked_at(who: str, robot: Robot, scene: Scene | None, collision: bool) -> bool:
     """Whether a robot's clearance is looked at: to a scene; without one to itself, where it has links that may hit. Raises
-    `ValueError` for a scene with `collision=False`."""
+    `ValueError` for what is no robot or no scene, and for a scene with `collision=False`."""
+    check_kind(who, "robot", robot, Robot)
+    check_kind(who, "scene", scene, Scene, optional=True)
     check_collision(who, collision, scene)
     return collision and (scene is not None or (has_geometry(robot) and bool(robot.self_pairs)))
 
@@ -251,7 +253,7 @@ def _range(robot: Robot, lower: tuple[float, ...], upper: tuple[float, ...], one
     if one_turn:
         over = np.where(robot.is_prismatic, 0.0, np.maximum(high - low - TURN, 0.0)) / 2.0
         low, high = low + over, high - over
-    return seeds.Range(tuple(low.tolist()), tuple(high.tolist()))
+    return seeds.Range.of(low, high)
 
 
 def _shaped(name: str, value: Any, shape: tuple[int, ...], least: int = 0) -> np.ndarray:

@@ -43,6 +43,10 @@ def searched(problem: Problem, lanes: Found, steps: int, misses: Misses) -> tupl
 
 def settled(problem: Problem, lanes: Found, most: int, double: bool = True, creep: float = np.inf) -> Found:
     """The lanes after up to `most` steps, with their errors."""
+    if not len(lanes.q):
+        return lanes
+    if double:
+        compile_finisher(settling(problem), problem.robot.num_joints).result()
     aim = problem.aim[lanes.target] if double else np.full(len(lanes.target), ARRIVED)
     rows, fixed = (lanes.q, problem.poses[lanes.target], aim), (problem.round_limits, most, creep)
     steps = settling(problem, FINISH if double else SEARCH)
@@ -75,27 +79,24 @@ def compile_finisher(program: Callable[..., Any], n: int) -> Future[Any]:
 
 def finish(problem: Problem, landed: Found, misses: Misses) -> Found:
     """Makes the last steps, in float64, and keeps the lanes whose errors are within the tolerances."""
-    if not len(landed.q):
-        return landed
-    compile_finisher(settling(problem), problem.robot.num_joints).result()
     found = settled(problem, landed, FINISHING)
     exact = within(found, problem.tolerance)
     misses.note(found, exact)
     return found.rows(exact)
 
 
-def rescued(problem: Problem, near: Found) -> tuple[Found, Found]:
-    """Gives near misses up to `RESCUE` more steps, since next to a singularity convergence is slow. Returns answers, and
-    colliding ones."""
-    if not len(near.q):
-        return near, near
+def rescued(problem: Problem, misses: Misses, reason: np.ndarray) -> tuple[Found, Found]:
+    """Gives lanes that came within `NEAR` up to `RESCUE` more steps, since next to a singularity convergence is slow. Returns
+    answers, and colliding ones."""
+    near = misses.nearest(KEPT, reason, NEAR)
     near = settled(problem, near, RESCUE, creep=CREEP if problem.scene is None else np.inf)
     return judged(problem, near.rows(within(near, problem.tolerance)))
 
 
-def loosened(problem: Problem, missed: Found) -> tuple[Found, Found]:
-    """Leads near misses to within the tolerances, and no nearer. Returns answers, and colliding ones. Where a pose is just out
-    of reach, or beyond the limits, there are no others."""
+def loosened(problem: Problem, misses: Misses, reason: np.ndarray) -> tuple[Found, Found]:
+    """Leads lanes that came within a `FEW` of the tolerances to within one, and no nearer. Returns answers, and colliding ones.
+    Where a pose is just out of reach, or beyond the limits, there are no others."""
+    missed = misses.nearest(KEPT, reason, FEW * (problem.tolerance @ [1.0 / problem.unit, 1.0]))
     if not len(missed.q):
         return missed, missed
     aim = problem.aim[missed.target]
@@ -121,45 +122,29 @@ class Misses:
         self.parts.append((ended, well))
         self.count += len(well)
         if self.count > PORTION:
-            kept = self._nearest(KEPT)
+            kept = self.nearest(KEPT)
             self.parts, self.count = [(kept, np.zeros(len(kept.q), bool))], len(kept.q)
 
-    def _nearest(self, count: int, reason: np.ndarray | None = None, most: Any = None) -> Found:
-        """Returns the `count` lanes of each target with the least errors, below `most`, a number or one a target. If `reason`
-        is given, targets that are solved are skipped."""
+    def nearest(self, count: int, reason: np.ndarray | None = None, most: Any = None) -> Found:
+        """Returns the `count` lanes of each target with the least errors [rad, unit lengths], below `most`, a number or one a
+        target. If `reason` is given, targets that are solved are skipped."""
         noted = Found.joined([nothing(self.problem), *(ended.rows(~well) for ended, well in self.parts)])
         if reason is not None:
             noted = noted.rows(reason[noted.target] != SOLVED)
-        away = np.nan_to_num(self._away(noted), nan=np.inf)
+        # in float64, so that they rank the same whatever they are joined with
+        away = noted.position_error.astype(np.float64) / self.problem.unit + noted.rotation_error
+        away = np.nan_to_num(away, nan=np.inf)
         if most is not None:
             near = away < np.broadcast_to(most, len(self.problem.tolerance))[noted.target]
             noted, away = noted.rows(near), away[near]
         return noted.rows(top(noted.target, -away, count))
 
-    def _away(self, found: Found) -> np.ndarray:
-        """The distances of rows from their targets [rad, unit lengths]; in float64, so that they rank the same whatever they
-        are joined with."""
-        return found.position_error.astype(np.float64) / self.problem.unit + found.rotation_error
-
-    def near(self, reason: np.ndarray) -> Found:
-        """Lanes of targets searched for in vain that came within `NEAR`."""
-        return self._nearest(KEPT, reason, NEAR)
-
     def close(self, reason: np.ndarray) -> np.ndarray:
         """Whether each target (N,), searched for in vain, is missed by so little that steps may yet lead to within the
         tolerances."""
         found = np.zeros(len(reason), bool)
-        found[self._nearest(1, reason, CLOSE).target] = True
+        found[self.nearest(1, reason, CLOSE).target] = True
         return found
-
-    def loose(self, reason: np.ndarray) -> Found:
-        """Lanes of targets searched for in vain that came within a few of the tolerances."""
-        return self._nearest(KEPT, reason, FEW * (self.problem.tolerance @ [1.0 / self.problem.unit, 1.0]))
-
-    def nearest(self, reason: np.ndarray) -> Found:
-        """The nearest of each target without an answer, judged in float64."""
-        found = self._nearest(1, reason)
-        return cleared(self.problem, settled(self.problem, found, FINISHING)) if len(found.q) else found
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -179,8 +164,11 @@ def goal(problem: Problem, cost: Cost | None = None) -> Goal:
     return Goal(options.task, cost, collision, options.activation, options.penalty)
 
 
-def pushed(problem: Problem, stuck: Found, count: int) -> Found:
-    """The answers that a search for clearance makes of the best few colliding postures of each target."""
+def freed(problem: Problem, stuck: Found, count: int) -> Found:
+    """The answers that a search for clearance makes of the best few colliding postures of each target; those on other branches
+    where the task leaves no joint free, so that a posture that has its pose cannot move."""
+    if int(np.sum(problem.low < problem.high)) <= sum(problem.options.task.bound):
+        return _hopped(problem, stuck, count)
     chosen = stuck.rows(far_apart(problem, stuck, stuck.clearance, count))
     if not len(chosen.q):
         return chosen
@@ -191,12 +179,7 @@ def pushed(problem: Problem, stuck: Found, count: int) -> Found:
     return judged(problem, finish(problem, moved, Misses(problem)))[0]
 
 
-def is_fixed(problem: Problem) -> bool:
-    """Whether a posture that has its pose cannot move: what collides is freed on another branch only."""
-    return int(np.sum(problem.low < problem.high)) <= sum(problem.options.task.bound)
-
-
-def hopped(problem: Problem, stuck: Found, count: int) -> Found:
+def _hopped(problem: Problem, stuck: Found, count: int) -> Found:
     """The answers on other branches than colliding postures: from these, with one joint mirrored or turned by half."""
     answers, reached = [nothing(problem)], stuck
     for _ in range(HOPS):

@@ -21,13 +21,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.analytic.families import solver_of
-from jaxik.analytic.solutions import BRANCHES, closed_form, closed_forms
+from jaxik.analytic.solutions import BRANCHES, closed_form
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
 from jaxik.pytree import read_only
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.host import host_kernels
 
 Strategy = Literal["auto", "library", "uniform", "low_discrepancy", "near", "closed_form"]
 FIRST, LATER = 1024, 512  # configurations of the first set, which every target asks, and of those after it
@@ -40,6 +41,14 @@ class Range(NamedTuple):
 
     low: tuple[float, ...]
     high: tuple[float, ...]
+
+    @staticmethod
+    def of(low: np.ndarray, high: np.ndarray) -> Range:
+        return Range(tuple(low.tolist()), tuple(high.tolist()))
+
+    def given(self, robot: Robot) -> Range:
+        """The range of what a robot's closed form is given, where this is that of its joints."""
+        return Range.of(*solver_of(robot).given_range(self.low, self.high))
 
     def between(self, share: np.ndarray) -> np.ndarray:
         """The configurations at `share` (..., n) in [0, 1] of the range."""
@@ -161,8 +170,7 @@ def branches(robot: Robot, inside: Range, seed: int, first: int, last: int, pose
     numbers = np.tile(np.arange(first, last), len(poses))
     given = np.zeros((len(numbers), 0))
     if robot.num_joints > 6:
-        ends = (tuple(end.tolist()) for end in solver_of(robot).given_range(inside.low, inside.high))
-        given = low_discrepancy(Range(*ends), seed, 0, last)[numbers]
+        given = low_discrepancy(inside.given(robot), seed, 0, last)[numbers]
     instead = uniforms(inside, seed, first, last)[numbers - first]
     rows = np.repeat(poses, last - first, axis=0), given, numbers.astype(np.int32), instead
     fixed = np.array(inside.low), np.array(inside.high)
@@ -170,22 +178,13 @@ def branches(robot: Robot, inside: Range, seed: int, first: int, last: int, pose
     return at.reshape(len(poses), last - first, -1)
 
 
-@functools.lru_cache(maxsize=64)
-def _branch(robot: Robot) -> HostKernel:
-    def chosen(pose: Any, given: Any, number: Any, instead: Any, low: Any, high: Any) -> Any:
-        q, valid, _ = closed_form(robot, pose, given)
-        past = jnp.maximum(jnp.max(jnp.maximum(low - q, q - high), axis=1), 0.0)
-        past = jnp.where(valid, past, jnp.inf)
-        k = jnp.arange(BRANCHES)
-        rank = 0 if given.size else number
-        place = jnp.sum((past[None] < past[:, None]) | ((past[None] == past[:, None]) & (k[None] < k[:, None])), axis=1)
-        mine = (place == rank) & valid
-        return jnp.where(jnp.any(mine), jnp.sum(jnp.where(mine[:, None], q, 0.0), axis=0), instead)
-
-    return HostKernel(chosen, 4)
-
-
-def any_branch(robot: Robot, poses: np.ndarray) -> np.ndarray:
-    """Whether six joints with a closed form have poses (N, 4, 4) at all, limits aside."""
-    _, valid, _ = in_blocks(closed_forms(robot), poses, np.zeros((len(poses), 0)), double=True)
-    return np.any(valid, axis=1)
+@host_kernels(4)
+def _branch(robot: Robot, pose: Any, given: Any, number: Any, instead: Any, low: Any, high: Any) -> Any:
+    q, valid, _ = closed_form(robot, pose, given)
+    past = jnp.maximum(jnp.max(jnp.maximum(low - q, q - high), axis=1), 0.0)
+    past = jnp.where(valid, past, jnp.inf)
+    k = jnp.arange(BRANCHES)
+    rank = 0 if given.size else number
+    place = jnp.sum((past[None] < past[:, None]) | ((past[None] == past[:, None]) & (k[None] < k[:, None])), axis=1)
+    mine = (place == rank) & valid
+    return jnp.where(jnp.any(mine), jnp.sum(jnp.where(mine[:, None], q, 0.0), axis=0), instead)

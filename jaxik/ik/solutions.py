@@ -13,8 +13,7 @@ from jaxik.costs import comfort_cost, joint_limit_margin
 from jaxik.ik.problem import Problem
 from jaxik.ik.sqp_programs import batch, clearance_around
 from jaxik.kinematics.forward import manipulability
-from jaxik.kinematics.joint_turns import TURN, all_turns, nearest_turns
-from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.joint_turns import TURN, all_turns, endless, nearest_turns, whole_turns
 from jaxik.spmd.batch import in_blocks
 
 APART = 0.2  # [rad, m] between these in some joint: nearer ones end at the same place
@@ -109,32 +108,27 @@ def at_home(problem: Problem, found: Found) -> Found:
     return found._replace(q=nearest_turns(problem.robot, found.q, problem.home(found.target), problem.low, problem.high))
 
 
-def unwound(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Continuous joints, and others without limits, in [-pi, pi]."""
-    turns = np.isinf(robot.lower) & np.isinf(robot.upper) & ~np.array(robot.is_prismatic)
-    return q - np.where(turns, np.round(q / TURN) * TURN, 0.0)
-
-
 def far_apart(problem: Problem, found: Found, score: np.ndarray, count: int, apart: float = APART) -> np.ndarray:
     """Picks up to `count` rows of each target, by their score, no two of which are near each other in every joint."""
-    near = found.target if count <= ROUNDS else _neighbours(problem.robot, found, apart)
-    kept = [np.zeros(0, int)]
+    around, kept = endless(problem.robot), [np.zeros(0, int)]
+    near = found.target if count <= ROUNDS else _neighbours(around, found, apart)
     order = top(near, score, len(near), found.seed)
     while len(order) and len(kept) <= count:
         begins = np.diff(near[order], prepend=-1) != 0
         best = order[begins]
         kept.append(best)
-        away = unwound(problem.robot, found.q[order] - found.q[best[np.cumsum(begins) - 1]])
-        order = order[np.abs(away).max(axis=1) > apart]
+        away = found.q[order] - found.q[best[np.cumsum(begins) - 1]]
+        order = order[np.abs(away - whole_turns(around, away)).max(axis=1) > apart]
     rows = np.sort(np.concatenate(kept))
     return rows[top(found.target[rows], score[rows], count, found.seed[rows])]
 
 
-def _neighbours(robot: Robot, found: Found, apart: float) -> np.ndarray:
+def _neighbours(around: np.ndarray, found: Found, apart: float) -> np.ndarray:
     """Numbers the rows of each target such that rows with two numbers are apart: joint after joint, values in their order
-    part where the next is further away than `apart`."""
-    number, values = found.target, unwound(robot, found.q)
-    for value, turns in zip(values.T, unwound(robot, np.full(robot.num_joints, TURN)) == 0.0, strict=True):
+    part where the next is further away than `apart`; joints that turn `around` (n,) without limits come back to where they
+    were."""
+    number, values = found.target, found.q - whole_turns(around, found.q)
+    for value, turns in zip(values.T, around, strict=True):
         low, high = value.min(initial=0.0), value.max(initial=0.0)
         order = np.argsort(number + 0.5 * (value - low) / (high - low or 1.0))  # a third of lexsort's time
         ordered, owner = value[order], number[order]
@@ -162,7 +156,7 @@ def top(target: np.ndarray, score: np.ndarray, count: int, *rank: np.ndarray) ->
 
 
 def first_most(owner: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """The first row of each owner with its largest value, of rows in the order of their owners."""
+    """The first row of each owner with its largest value, of rows in the order of their owners: as `top`, without a sort."""
     if not len(owner):
         return np.zeros(0, int)
     starts = np.flatnonzero(np.diff(owner, prepend=-1))

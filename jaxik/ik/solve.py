@@ -16,7 +16,6 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxik.checks.options import check_kind
 from jaxik.collision.bvh import Grouped, decided_within, own_in
 from jaxik.collision.clearances import check_geometry, has_geometry
 from jaxik.collision.contact_report import Contact, explain, warn_of_scene
@@ -132,11 +131,9 @@ def solve_ik(
     Raises `ValueError` for arguments of a wrong shape, name or range. Warns of targets that look like millimetres, of what is
     in collision in every configuration, and of meshes that were not read.
     """
-    check_kind("solve_ik", "robot", robot, Robot)
-    check_kind("solve_ik", "scene", scene, Scene, optional=True)
     options = IKOptions.chosen(options, changes)
-    given = Poses.of(targets, options.task)
     around, unseen = _around(robot, scene, options)
+    given = Poses.of(targets, options.task)
     if unseen:
         warnings.warn(f"solve_ik: {unseen}", stacklevel=2)
     if around is not None:

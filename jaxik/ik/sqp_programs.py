@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import Array
+from jaxik.checks.arrays import Array, as_numbers
 from jaxik.checks.options import as_count
 from jaxik.collision.clearances import clearance, link_contacts
 from jaxik.costs import Cost, collision_cost
@@ -68,9 +68,10 @@ def descend_ik(
 
     This is one lane of what `solve_ik` makes of many seeds, for control loops and pipelines of one's own: `jit` and `vmap` it.
     Only the returned errors judge it: where they are not small, take another seed. For the derivative of a solution
-    `implicit_ik` needs none of the steps. Raises `ValueError` for a q of another shape.
+    `implicit_ik` needs none of the steps. Raises `ValueError` for a target or q of another shape.
     """
-    return _descend(robot, task, as_count("iterations", iterations), jnp.asarray(target), as_configuration(robot, q))
+    count, target = as_count("iterations", iterations), as_numbers("target", target, (4, 4))
+    return _descend(robot, task, count, target, as_configuration(robot, q))
 
 
 @kernel(models=3)

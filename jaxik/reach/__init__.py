@@ -3,8 +3,7 @@
 from jaxik.reach.grasp import Grasp
 from jaxik.reach.leading_joints import Postures, postures_over
 from jaxik.reach.proof import ReachProof, prove_reach
-from jaxik.reach.ranking import PostureOptions
-from jaxik.reach.scoring import LikelyPostures, likely_postures, log_reach_score, reach_score
+from jaxik.reach.scoring import LikelyPostures, PostureOptions, likely_postures, log_reach_score, reach_score
 
 __all__ = [
     "Grasp",

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
 
 from jaxik.checks.arrays import as_count_or_values, numbers
 from jaxik.checks.options import shown
-from jaxik.collision.scene import Mark
+from jaxik.collision.scene import Mark, Scene, remembered
 from jaxik.kinematics.robot import Robot
 from jaxik.spatial.rotations import frame
 
@@ -59,6 +60,13 @@ def across(axis: Any, toward: tuple[float, float, float]) -> np.ndarray:
     reference = np.array((1.0, 0.0, 0.0) if abs(axis @ toward) > 0.99 else toward)
     found = reference - axis * (axis @ reference)
     return found / np.linalg.norm(found)
+
+
+def without(scene: Scene, names: Collection[str]) -> Scene:
+    """The scene without objects of these names, as far as it has them: what stands at a mark is no obstacle to what grasps it,
+    nor what is picked to others. Made once."""
+    gone = tuple(name for name in scene.object_names if name in names)
+    return remembered(scene, ("without", *gone), lambda: scene.without(gone)) if gone else scene
 
 
 def approach_grid(angles: Any) -> np.ndarray:

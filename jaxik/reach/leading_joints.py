@@ -99,11 +99,11 @@ class Freest(NamedTuple):
     `branches` (N, m) has one bit for each that is inside there.
     """
 
-    freedom: np.ndarray
-    lead: np.ndarray
-    branch: np.ndarray
-    inside: np.ndarray
-    branches: np.ndarray
+    freedom: Any
+    lead: Any
+    branch: Any
+    inside: Any
+    branches: Any
 
 
 def freest(robot: Robot, poses: np.ndarray, leading: np.ndarray) -> Freest:
@@ -135,45 +135,35 @@ def _freest(robot: Robot, size: int, pose: Any, leading: Any, many: Any, past: A
     """Compiled, by rows of poses: `Freest` over the first `many` of the leading positions (size, k); among the ways of joints 1
     to 3 that may be inside the limits or, if `past`, all that have the pose. What no lane asks for is not computed."""
 
-    def turn(best: _Best, i: Any) -> tuple[_Best, Any]:
+    def turn(best: Freest, i: Any) -> tuple[Freest, Any]:
         ways = solver_of(robot).half_branches(pose, leading[i])
         may = [(way.margin >= 0.0) & (past | may_be_inside(robot, way.turns, NEARLY)) for way in ways]
 
-        def solved(best: _Best) -> _Best:
+        def solved(best: Freest) -> Freest:
             for number, way in enumerate(ways):
                 freer = functools.partial(_freer, robot, leading[i], i, number, way)
                 best = lax.cond(may[number], freer, lambda best: best, best)
             return best
 
         best = lax.cond(functools.reduce(jnp.logical_or, may), solved, lambda best: best, best)
-        return best._replace(here=jnp.uint8(0)), best.here
+        return best._replace(branches=jnp.uint8(0)), best.branches
 
-    skip = lambda best, _: (best, jnp.uint8(0))
-    zero = jnp.int32(0)
-    nothing = _Best(jnp.asarray(NOTHING, pose.dtype), zero, zero, zero, jnp.uint8(0))
+    skip, zero = lambda best, _: (best, jnp.uint8(0)), jnp.int32(0)
+    nothing = Freest(jnp.asarray(NOTHING, pose.dtype), zero, zero, zero, jnp.uint8(0))
     best, branches = lax.scan(lambda best, i: lax.cond(i < many, turn, skip, best, i), nothing, jnp.arange(size))
     return *best[:-1], branches
 
 
-class _Best(NamedTuple):
-    """The freest branch of one target so far, how many are inside the limits, and a bit for each of those at this position."""
-
-    freedom: Any
-    lead: Any
-    branch: Any
-    inside: Any
-    here: Any
-
-
-def _freer(robot: Robot, leading: Any, lead: Any, number: int, way: HalfBranch, best: _Best) -> _Best:
-    """The best with the two branches of a way of joints 1 to 3; where several are as free, the first way and lead count."""
+def _freer(robot: Robot, leading: Any, lead: Any, number: int, way: HalfBranch, best: Freest) -> Freest:
+    """The best of a target so far, with the two branches of a way of joints 1 to 3; where several are as free, the first way
+    and lead count. Its `branches` are those at this position alone."""
     one, two = (_freedom(robot, leading, *branch) for branch in way.finish())
     freedom, branch = jnp.maximum(one, two), 2 * number + (two > one).astype(jnp.int32)
     better = (freedom > best.freedom) | ((freedom == best.freedom) & (number < best.branch // 2))
     bits = [(each >= 0.0).astype(jnp.uint8) for each in (one, two)]
     freedom, lead, branch = (jnp.where(better, new, old) for new, old in zip((freedom, lead, branch), best[:3], strict=True))
-    here = best.here | bits[0] << 2 * number | bits[1] << 2 * number + 1
-    return _Best(freedom, lead, branch, best.inside + sum(bits).astype(jnp.int32), here)
+    here = best.branches | bits[0] << 2 * number | bits[1] << 2 * number + 1
+    return Freest(freedom, lead, branch, best.inside + sum(bits).astype(jnp.int32), here)
 
 
 def may_be_inside(robot: Robot, turns: Any, slack: float) -> Any:

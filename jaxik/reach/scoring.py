@@ -1,4 +1,5 @@
-"""Reach as one smooth number that has a gradient in the robot's place, its shape and the scene.
+"""The rank of a posture among obstacles; and reach as one smooth number that has a gradient in the robot's place, its shape
+and the scene.
 
 Reachable or not is a step, and a step has no slope. The score of a posture is instead the least of its margins (of clearance,
 of each joint to its limits, and of the pose itself where the arm falls short), and the score of a target the best over some
@@ -21,10 +22,12 @@ from jaxik.checks.options import as_count, check_finite
 from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.clearances import check_geometry, clearance
 from jaxik.collision.scene import Scene
+from jaxik.costs import joint_limit_margin
 from jaxik.ik.problem import is_looked_at
 from jaxik.kinematics.forward import forward_kinematics, jacobian
 from jaxik.kinematics.robot import Robot
 from jaxik.optimise.linear import definite_solve
+from jaxik.options import Options, number
 from jaxik.reach.leading_joints import arm_of, leading_grid
 from jaxik.spmd import kernel
 from jaxik.spmd.batch import in_blocks
@@ -34,7 +37,34 @@ DAMPING = 1e-2  # [m, rad m] below which a direction counts as one that the arm 
 SHORT = 0.03  # [m, rad] that the tip falls short by and that weighs as much as a joint past its limit by half its range
 STEP = 0.3  # [rad, m] that a posture follows its target by: beyond, it would be another posture
 WIDTH = 0.2  # of the step from 0 to 1, in margins: wide enough that a target far out of reach still has a slope
-REACH = 0.075  # [m] of clearance that is worth as much as a joint in the middle, as in (6) of Van Henten et al. 2010
+
+
+class PostureOptions(Options, who="posture"):
+    """The postures that count, and how they are ranked:
+
+        score = clearance_weight * min(D, reach) / reach + freedom_weight * F
+
+    with the clearance D [m] and the freedom F of the least free joint (`costs.joint_limit_margin`), both terms in [0, 1] times
+    their weight.
+    """
+
+    margin: float = number(default=0.0, unit="m", words="least clearance")
+    clearance_weight: float = number(default=1.0, least=0.0, words="weight of the clearance in the score")
+    freedom_weight: float = number(default=0.5, least=0.0, words="weight of the least free joint's freedom in the score")
+    reach: float = number(
+        default=0.075, above=0.0, unit="m", words="clearance beyond which more is worth nothing, as in (6) of Van Henten 2010"
+    )
+
+    def score(self, clearance: np.ndarray, freedom: np.ndarray) -> np.ndarray:
+        """The scores of postures of these clearances [m] and freedoms."""
+        near = self.clearance_weight * np.clip(clearance, 0.0, self.reach) / self.reach
+        return near + self.freedom_weight * np.clip(freedom, 0.0, 1.0)
+
+
+@host_kernels(1)
+def measures(robot: Robot, q: Any, scene: Any) -> Any:
+    """The kernel of clearances [m] and freedoms, by rows of q."""
+    return clearance(robot, scene, q), joint_limit_margin(robot, q)
 
 
 def reach_score(
@@ -74,14 +104,14 @@ def log_reach_score(
 ) -> Float[Array, ""]:
     """The logarithm of `reach_score`, to add up over targets and climb: it has a slope metres away too, where the score itself
     is 0 to the last bit. Traced. Raises `ValueError` for other shapes."""
-    poses, q = as_numbers("poses", poses), as_numbers("q", q)
+    looked, poses, q = is_looked_at("reach_score", robot, scene, collision), as_numbers("poses", poses), as_numbers("q", q)
     if poses.shape != (*q.shape[:1], 4, 4) or q.shape[1:] != (robot.num_joints,) or not len(q):
         raise ValueError(
             f"poses {poses.shape} and q {q.shape}; {robot.name} takes (k, 4, 4) and (k, {robot.num_joints}), k >= 1"
         )
     as_numbers("margin", margin, ())
     as_numbers("temperature", temperature, ())
-    around = grouped(scene, robot) if is_looked_at("reach_score", robot, scene, collision) else None
+    around = grouped(scene, robot) if looked else None
     each = jax.vmap(lambda pose, posture: _worth(robot, around, pose, posture, margin, temperature))
     best = temperature * jax.nn.logsumexp(each(poses, q) / temperature)
     return jax.nn.log_sigmoid(best / WIDTH)
@@ -95,7 +125,7 @@ def _worth(robot: Robot, around: Grouped | None, pose: Any, q: Any, margin: Any,
     share = jnp.minimum(q - low, high - q) / jnp.maximum((high - low) / 2.0, 1e-9)
     margins = [jnp.where(robot.is_limited, share, 1.0)]
     if around is not None:
-        margins.append((clearance(robot, around, q) - margin)[None] / REACH)
+        margins.append((clearance(robot, around, q) - margin)[None] / PostureOptions.reach)
     return -temperature * jax.nn.logsumexp(-jnp.concatenate(margins) / temperature) - short / SHORT
 
 
@@ -141,25 +171,23 @@ def likely_postures(
     It is for robots with a closed form; others take the answers of `solve_ik`. Without a scene the robot keeps clear of itself;
     with `collision=False` no clearance counts. Raises `ValueError` where the robot has no closed form, or no pose is one.
     """
+    looked = is_looked_at("likely_postures", robot, scene, collision)
     poses, count = numbers("likely_postures: poses", poses, ("N", 4, 4)), as_count("likely_postures: count", count)
     check_finite("likely_postures", margin=margin)
     if not np.isfinite(poses).all(axis=(1, 2)).any():
         raise ValueError(f"likely_postures: poses {poses.shape} hold no finite frame; give (a, 4, 4), world_T_tip")
     if scene is not None:
         check_geometry(robot)
-    leading = leading_grid(robot, slides)
-    local = np.linalg.inv(np.asarray(robot.world_T_base)) @ poses
-    pose, lead = (x.ravel() for x in np.meshgrid(np.arange(len(poses)), np.arange(len(leading)), indexing="ij"))
+    leading, base_T_world = leading_grid(robot, slides), np.linalg.inv(np.asarray(robot.world_T_base))
+    local = base_T_world @ poses
+    pose, lead = np.divmod(np.arange(len(poses) * len(leading)), len(leading))
     q, _, _ = in_blocks(closed_forms(arm_of(robot)), local[pose], leading[lead], double=False)
-    q, at = np.asarray(q).reshape(-1, robot.num_joints), np.repeat(poses[pose], BRANCHES, axis=0)
+    q, pose = q.reshape(-1, robot.num_joints), np.repeat(pose, BRANCHES)
+    around = grouped(None if scene is None else scene.moved(base_T_world), robot) if looked else None
     home = robot.mounted(np.eye(4))
-    around = None
-    if is_looked_at("likely_postures", robot, scene, collision):
-        here = np.linalg.inv(np.asarray(robot.world_T_base))
-        around = grouped(None if scene is None else scene.moved(here), robot)
-    (worth,) = in_blocks(_worths(home), np.repeat(local[pose], BRANCHES, axis=0), q, fixed=(around, margin), double=False)
+    (worth,) = in_blocks(_worths(home), local[pose], q, fixed=(around, margin), double=False)
     best = np.argsort(-np.where(np.isfinite(worth), worth, -np.inf), kind="stable")[:count]
-    return LikelyPostures(at[best], q[best])
+    return LikelyPostures(poses[pose[best]], q[best])
 
 
 @host_kernels(2, known=16)

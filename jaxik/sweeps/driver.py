@@ -1,6 +1,7 @@
 """Where can this arm reach, from which base, and why not elsewhere: millions of targets into a store that is never lost.
 
-`sweep` works through a `Study` chunk by chunk. A chunk is what is computed, written, resumed, sharded and sent to a cluster.
+`sweep` works through a `Study` chunk by chunk. A chunk is what is computed, written, resumed, sharded and sent to a cluster;
+the one process that asked a cluster for them writes them.
 """
 
 from __future__ import annotations
@@ -19,18 +20,23 @@ from typing import Any
 
 import numpy as np
 
+from jaxik.analytic.families import redundancy
 from jaxik.checks.options import optional, shown
 from jaxik.collision.contact_report import warn_of_scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.ik.problem import Poses
 from jaxik.ik.solve import IKResult, solved
+from jaxik.kinematics.robot import Robot
 from jaxik.reasons import Reason
-from jaxik.sweeps.auditing import audit
+from jaxik.spmd.batch import compilation_cache
 from jaxik.sweeps.evaluation import Columns, answer
+from jaxik.sweeps.robot_variants import Variant
 from jaxik.sweeps.store import Store, StoreError
 from jaxik.sweeps.study import Study
 
-AHEAD = 2  # chunks at a time in this process: what one does on the host alone, the other spends in compiled blocks
+# chunks at a time in this process: what one does on the host alone, the other spends in compiled blocks; tasks a worker of a
+# cluster: one to run, one to have at hand
+AHEAD = 2
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -157,9 +163,7 @@ def _kept(store: Store, number: int, repair: bool, *names: str) -> Columns | Non
 def _computed(study: Study, todo: list[int], cluster: str | None, stop: Callable[[], bool]) -> Iterator[tuple[int, Columns]]:
     """The chunks to do, as they come, until all are there or `stop` says so."""
     if cluster is not None and todo:
-        from jaxik.sweeps.cluster import computed
-
-        yield from computed(study, todo, cluster, stop)
+        yield from _on_cluster(study, todo, cluster, stop)
         return
     with ThreadPoolExecutor(AHEAD, thread_name_prefix="jaxik-chunk") as pool:
         work = lambda number: (number, answer(study, *study.work(number)[::2]))
@@ -169,6 +173,48 @@ def _computed(study: Study, todo: list[int], cluster: str | None, stop: Callable
             yield running.popleft().result()
             if not stop():
                 running.extend(pool.submit(work, number) for number in itertools.islice(waiting, 1))
+
+
+def _on_cluster(study: Study, todo: list[int], address: str, stop: Callable[[], bool]) -> Iterator[tuple[int, Columns]]:
+    """The chunks as tasks of a Dask scheduler (extra `[cluster]`), in the order in which they come; of a worker that dies Dask
+    gives its tasks to another. Raises `ValueError` where no scheduler answers, or no worker comes."""
+    dask = optional("--cluster", "distributed", "cluster")
+    try:
+        client = dask.Client(address, timeout=10, set_as_default=False)
+    except (OSError, ValueError) as error:
+        problem = f"no scheduler answers ({type(error).__name__})"
+        raise ValueError(f"--cluster {address}: {problem}; start `dask scheduler`") from None
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=60)
+        except TimeoutError:
+            raise ValueError(f"--cluster {address}: no worker in a minute; start `dask worker {address}`") from None
+        waiting = iter(todo)
+        tasks = dask.as_completed(with_results=True, loop=client.loop)
+
+        def send(count: int) -> None:
+            for number in itertools.islice(waiting, count):
+                tasks.add(client.submit(_on_worker, number, *_piece(study, number), pure=False, retries=2))
+
+        send(AHEAD * len(client.scheduler_info()["workers"]))
+        for _, (number, columns) in tasks:
+            yield number, columns
+            if stop():
+                return
+            workers = len(client.scheduler_info()["workers"])
+            send(max(1, AHEAD * workers - tasks.count()))
+
+
+def _piece(study: Study, number: int) -> tuple[Study, Variant, slice]:
+    """One piece of work alone, with no targets but its own."""
+    variant, _, rows = study.work(number)
+    targets, own = study.targets.only(rows)
+    return dataclasses.replace(study, targets=targets), variant, own
+
+
+def _on_worker(number: int, study: Study, variant: Variant, rows: slice) -> tuple[int, dict[str, Any]]:
+    compilation_cache()
+    return number, answer(study, variant, rows)
 
 
 def _written(store: Store, chunks: Iterator[tuple[int, Columns]]) -> Iterator[int]:
@@ -211,3 +257,79 @@ def _ended(store: Store, repair: bool) -> SweepResult:
         asked_again = audit(store) if store.study.audited and not store.knows(counted) else {}
         store.finish({"complete": True} | counted | asked_again)
     return SweepResult(store.path, store.study, int(finished.sum()), len(finished), counts)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# The audit
+
+# Effort is positions of what the closed form is given (a slide, an arm angle) where that answers, and seeds where the search
+# does. A target that more effort reaches and the study did not is a false negative; the rate that is seen has an upper bound
+# [Clopper and Pearson 1934]. A closed form that is given nothing knows no effort, and misses nothing.
+# times the study's own; the last is dense
+EFFORTS = {"closed form": (0.25, 0.5, 1.0, 4.0), "search": (1 / 32, 1 / 8, 1.0, 8.0)}
+WHAT = {"closed form": "slides", "search": "max_seeds"}
+AUDITED = 0x617564
+
+
+def audit(store: Store) -> dict[str, Any]:
+    """Estimates how many reachable targets a sweep missed: some of them, drawn at random, are asked again with more effort.
+    Returns the attributes `audit`, by method, and `false_negative_rate`, over all, of a complete store."""
+    study = store.study
+    total = len(study.variants) * len(study.targets)
+    drawn = np.random.default_rng((AUDITED, study.seed)).choice(total, min(study.audited, total), replace=False)
+    variant, target = np.divmod(np.sort(drawn), len(study.targets))
+    found: dict[str, list[np.ndarray]] = {}
+    for v in np.unique(variant):
+        each = study.variants[v]
+        rows = target[variant == v]
+        own = range(v * study.chunks, (v + 1) * study.chunks)
+        seen = np.concatenate([store.column(int(n), "reachable") for n in own])[rows]
+        method = study.method(each.robot)
+        again = _again(study, each, rows, method) if _given_names(study, each.robot) else [seen] * len(EFFORTS[method])
+        found.setdefault(method, []).append(np.stack([*again, seen]))
+    joined = {method: np.concatenate(parts, axis=1) for method, parts in found.items()}
+    missed = sum(int(np.sum(t[:-1].any(axis=0) & ~t[-1])) for t in joined.values())
+    truth = sum(int(np.sum(t.any(axis=0))) for t in joined.values())
+    known = {method: _summary(study, method, table) for method, table in joined.items()}
+    return {"audit": known, "false_negative_rate": missed / max(truth, 1), "false_negative_bound_95": rate_bound(missed, truth)}
+
+
+def rate_bound(missed: int, truth: int) -> float:
+    """The rate that so few misses of so many exclude with 95 % confidence."""
+    from scipy.stats import beta
+
+    return 1.0 if missed >= truth else float(beta.ppf(0.95, missed + 1, truth - missed))
+
+
+def _given_names(study: Study, robot: Robot) -> tuple[str, ...]:
+    """The names of what there may be more of: a search's seeds, the values that a closed form is given."""
+    return ("seed",) if study.method(robot) == "search" else redundancy(robot).names
+
+
+def _again(study: Study, variant: Variant, rows: np.ndarray, method: str) -> list[np.ndarray]:
+    """Whether some targets are reached, with each of the efforts."""
+    changed, reached = dataclasses.replace(study, targets=study.targets.at(rows), refine=0), []
+    for effort in _efforts(study, method):
+        if method == "closed form":
+            changed = dataclasses.replace(changed, slides=effort)
+        else:
+            changed = dataclasses.replace(changed, ik=dataclasses.replace(study.ik, max_seeds=effort))
+        reached.append(answer(changed, variant, slice(0, len(rows)))["reachable"])
+    return reached
+
+
+def _efforts(study: Study, method: str) -> list[int]:
+    own = study.slides if method == "closed form" else study.ik.max_seeds
+    return [max(1, round(effort * own)) for effort in EFFORTS[method]]
+
+
+def _summary(study: Study, method: str, table: np.ndarray) -> dict[str, Any]:
+    """The `rates` of false negatives of each effort alone, and of the study as it was run."""
+    truth = table.any(axis=0)
+    count = max(int(truth.sum()), 1)
+    rates = [float(np.sum(truth & ~row)) / count for row in table]
+    known: dict[str, Any] = {"effort": WHAT[method], "efforts": [], "rates": [], "false_negative_rate": rates[-1]}
+    robots = [each.robot for each in study.variants if study.method(each.robot) == method]
+    if of := sorted({name for robot in robots for name in _given_names(study, robot)}):
+        known |= {"efforts": _efforts(study, method), "rates": rates[:-1], "of": of}
+    return known | {"sample": table.shape[1], "reachable_in_sample": int(truth.sum())}

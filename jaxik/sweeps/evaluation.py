@@ -25,7 +25,7 @@ from jaxik.kinematics.forward import manipulability, pose_errors
 from jaxik.kinematics.robot import Robot
 from jaxik.reach.leading_joints import NOTHING, arm_of, freest, grid, leading_grid
 from jaxik.reach.proof import beyond, prove_reach
-from jaxik.reach.ranking import measures
+from jaxik.reach.scoring import measures
 from jaxik.reasons import Reason
 from jaxik.spatial.algebra import traced
 from jaxik.spmd import HostKernel

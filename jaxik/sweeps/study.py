@@ -16,6 +16,7 @@ import jax
 import numpy as np
 
 from jaxik.analytic.families import scan_obstacle
+from jaxik.checks.arrays import numbers
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
 from jaxik.files import load, load_scene
@@ -28,7 +29,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
 from jaxik.options import anything, count, fields, flag, instance
 from jaxik.reach.grasp import Grasp
-from jaxik.reach.ranking import PostureOptions
+from jaxik.reach.scoring import PostureOptions
 from jaxik.spatial.rotations import frame, from_rpy
 from jaxik.sweeps import targets as sources
 from jaxik.sweeps.robot_variants import Variant, all_variants, read_shapes, variant_name
@@ -42,6 +43,7 @@ KEYS = (
 )
 OWN = ("name", "collision", *fields(PostureOptions), "slides", "refine", "seed", "chunk", "audited")  # described as they are
 IK_KEYS = ("max_seeds", "choice", "seeds", "solutions")
+WRITTEN = "allowed: (N, 4, 4); (N, 7) of x, y, z, qw, qx, qy, qz; positions (N, 3)"
 TOLERANCES = {"position_tolerance": "length", "rotation_tolerance": "angle"}
 
 
@@ -305,12 +307,12 @@ def _given_targets(row: Table, folder: Path, frame: str, grasp: Grasp) -> Target
     known = row.content.get("poses")
     if known is not None and "path" in row.content:
         raise row.fail("path and poses say the same", "keep one")
-    poses = read_targets(folder / row.text("path")) if known is None else np.asarray(known, np.float64)
+    poses = read_targets(folder / row.text("path")) if known is None else _made(row, WRITTEN, numbers, "poses", known)
     if poses.shape[1:] in ((4, 4), (7,)):
         return Targets("file", frame, np.zeros((0, 3, 3)), poses=poses)
     if poses.ndim == 2 and poses.shape[1] == 3:
         return Targets("file", frame, _rotations(row, grasp), positions=poses)
-    raise row.fail(f"poses of shape {poses.shape}", "allowed: (N, 4, 4); (N, 7) of x, y, z, qw, qx, qy, qz; positions (N, 3)")
+    raise row.fail(f"poses of shape {poses.shape}", WRITTEN)
 
 
 def _axis(row: Table, key: str) -> np.ndarray:

@@ -16,7 +16,7 @@ from jaxik.collision.scene import Scene
 from jaxik.files.targets import as_frames
 from jaxik.kinematics.reach_bound import reach_bound
 from jaxik.kinematics.robot import Robot
-from jaxik.reach.grasp import Grasp, across
+from jaxik.reach.grasp import Grasp, across, without
 from jaxik.spatial.rotations import to_wxyz
 
 KINDS = ("grid", "voxels", "file", "marks")
@@ -163,8 +163,7 @@ def around_marks(scenes: Sequence[Scene], angles: int, grasp: Grasp) -> Targets:
     """All marks of some scenes, each approached from `angles` directions around its axis; the object of a mark's name is no
     obstacle to it."""
     marked = [(scene, mark) for scene in scenes for mark in scene.marks]
-    without = lambda scene, name: scene.without([name] if name in scene.object_names else [])
-    around = tuple(without(scene, mark.name) for scene, mark in marked)
+    around = tuple(without(scene, [mark.name]) for scene, mark in marked)
     poses = np.concatenate([np.zeros((0, 4, 4)), *(grasp.frames(mark, angles) for _, mark in marked)])
     return Targets(
         "marks", "world", np.zeros((0, 3, 3)), poses=poses, scenes=around, among=np.repeat(np.arange(len(around)), angles)

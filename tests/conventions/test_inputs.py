@@ -263,6 +263,16 @@ def test_what_is_of_another_kind():
     refused("margin is nan", jaxik.harvesting.scan, P6R, SCENE, fruit, margin=np.nan)
     refused("fruit is 3", jaxik.harvesting.scan, P6R, SCENE, 3)
     refused("scene is 3", jaxik.harvest, P6R, 3)
+    refused("robot is 3", jaxik.harvest, 3, SCENE)
+    for call in (jaxik.reach.reach_score, jaxik.reach.likely_postures):
+        rest = (np.eye(4)[None], *[np.zeros((1, 7))] * (call is jaxik.reach.reach_score))
+        refused(f"{call.__name__}: scene is 3; write a jaxik.Scene", call, P6R, 3, *rest)
+        refused(f"{call.__name__}: robot is 3; write a jaxik.Robot", call, 3, None, *rest)
+    refused("implicit_ik: scene is 3; write a jaxik.Scene", jaxik.implicit_ik, P6R, np.eye(4), np.zeros(7), scene=3)
+    for shape in ((3, 3), (2, 4, 4)):  # the first was taken for a pose
+        refused(r"target has the shape .*; allowed: \(4, 4\)", jaxik.ik.descend_ik, P6R, np.ones(shape), np.zeros(7))
+    for count, words in {"plants": "plants is 0", "fruits": "fruits is -1", "seed": "seed is -1"}.items():
+        refused(words, jaxik.harvesting.make_row, **{count: int(words[-2:])})
     refused("robot is 3", jaxik.forward_kinematics, 3, ZEROS)
     refused("robot is 3", jaxik.kinematics.turns, 3, ZEROS)
     refused("robot is 3", jaxik.analytic.redundancy, 3)

@@ -1,11 +1,13 @@
 """The one base of results: rows, truth, reasons in words, and trees."""
 
+import dataclasses
 from typing import Any, ClassVar
 
 import jax
 import numpy as np
 import pytest
 
+import jaxik
 from jaxik.pytree import static
 from jaxik.reasons import Reason
 from jaxik.results import Result, by_row
@@ -60,3 +62,43 @@ def test_it_prints_what_a_person_asks_first():
     )
     assert "  q: [0. 0.]" in repr(ONE) and "robot" not in repr(ONE)
     assert "float64[20, 2]" in repr(Found(np.zeros((20, 2)), np.zeros(20, int)))
+
+
+SMALL = jaxik.load("planar2")
+SCENE = jaxik.make_scene(spheres=[[0.5, 0.1, 0.4, 0.1]])
+PATH = jaxik.planning.JointPath.polyline(np.eye(2))
+FIELDS = {  # what is static in a result, and what more than an array it holds
+    "robot": SMALL,
+    "scene": SCENE,
+    "solved_in": (SMALL, SCENE, 0.0),
+    "blockers": (jaxik.harvesting.Blockers(("leaf",), (1.0,), ("leaf",), 0),),
+    "stages": (jaxik.harvesting.Stage("home", "", 0.0, jaxik.planning.time_path(PATH, velocity=1.0, acceleration=1.0)),),
+    "base": jaxik.identification.base_parameters(SMALL),
+    "reason": np.zeros(1, int),
+}
+SCAN = jaxik.harvesting.ScanResult
+OTHERS = jaxik.motions, jaxik.touch, jaxik.teleoperation  # packages that have results, too, once they are imported
+
+
+def _example(kind):
+    """A result with one row, whose arrays are of no use: made past the constructor, which would ask for their shapes."""
+    made = object.__new__(kind)
+    for field in dataclasses.fields(kind):
+        usual = ("a",) if field.metadata.get("by_row") else 0.0 if field.metadata.get("static") else np.ones(1)
+        vars(made)[field.name] = (_example(SCAN),) if field.name == "scan" else FIELDS.get(field.name, usual)
+    if "options" in vars(made):  # made anew, so that their values are compared
+        vars(made)["options"] = jaxik.harvesting.HarvestOptions(angles=np.linspace(0.0, 1.0, 3), slides=[[0.1], [0.2]])
+    return made
+
+
+def _kinds(kind):
+    return [kind, *(each for below in kind.__subclasses__() for each in _kinds(below))]
+
+
+@pytest.mark.parametrize("kind", [each for each in _kinds(Result)[1:] if each is not Found], ids=lambda kind: kind.__name__)
+def test_every_result_goes_through_jit(kind):
+    traces = []
+    through = jax.jit(lambda result: traces.append(0) or result)
+    for _ in range(2):
+        assert through(_example(kind)) == _example(kind)
+    assert len(traces) == 1 and isinstance(hash(_example(kind)), int)

@@ -159,6 +159,11 @@ def test_bad_input_is_one_line(harvested, given, words):
     assert "\n" not in str(error.value)
 
 
+def test_a_harvest_of_no_fruit_is_refused(harvested):
+    with pytest.raises(ValueError, match="a harvest of no fruit; give one or several of its rows"):
+        jaxik.harvesting.plan_harvest(harvested[:0])
+
+
 def test_files_hold_all_stages(plan, harvested, tmp_path, monkeypatch):
     monkeypatch.setattr("jaxik.view.plot_harvest", lambda result, path: None)
     write_harvest(harvested, tmp_path / "out", plan, 0.02)

@@ -12,8 +12,7 @@ from papers.harvest_costs import harvest_orientation_cost
 
 import jaxik
 from jaxik.files.shipped import models_folder
-from jaxik.harvesting.grid_refinement import _climb, _misses, _self_motion, recover
-from jaxik.harvesting.scanning import ScanOptions
+from jaxik.harvesting.scanning import ScanOptions, _climb, _misses, _self_motion, recover
 from jaxik.kinematics.forward import joint_frames
 from jaxik.reach.grasp import Grasp
 from jaxik.reasons import Reason
@@ -153,11 +152,10 @@ def test_recovery_finds_what_the_grid_misses():
     best = float(fine.table.clearance.max())
     coarse = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], angles=7, slides=3, margin=0.95 * best)
     assert coarse.reason != Reason.SOLVED  # so high a margin that so coarse a grid has nothing
-    mended = recover(_asked(coarse, float(coarse.table.clearance.max()) + 0.004))
-    assert mended is not None and mended.how in ("finer grid", "gradient")
-    assert mended.row.clearance[0] > coarse.table.clearance.max()
-    q = mended.row.q[0].astype(np.float64)
-    pose = Grasp().poses(ROBOT, OPEN.marks[0], mended.row.angle)[0]
+    row, how = recover(_asked(coarse, float(coarse.table.clearance.max()) + 0.004))
+    assert how in ("finer grid", "gradient") and row.clearance[0] > coarse.table.clearance.max()
+    q = row.q[0].astype(np.float64)
+    pose = Grasp().poses(ROBOT, OPEN.marks[0], row.angle)[0]
     assert np.max(np.abs(jaxik.forward_kinematics(ROBOT, q) - pose)) <= 2e-5
     assert np.all((q >= ROBOT.lower - 1e-6) & (q <= ROBOT.upper + 1e-6))
 
@@ -165,12 +163,10 @@ def test_recovery_finds_what_the_grid_misses():
 def test_gradient_ascent_alone_reaches_the_margin():
     coarse = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.marks[0], angles=7, slides=3)
     margin = float(coarse.table.clearance.max()) + 0.003
-    climbed = _climb(_asked(coarse, margin), _misses(coarse))
-    assert climbed is not None and climbed.how == "gradient" and climbed.row.clearance[0] >= margin
-    q = climbed.row.q[0].astype(np.float64)
-    assert (
-        np.max(np.abs(jaxik.forward_kinematics(ROBOT, q) - Grasp().poses(ROBOT, OPEN.marks[0], climbed.row.angle)[0])) <= 2e-5
-    )
+    row, how = _climb(_asked(coarse, margin), _misses(coarse))
+    assert how == "gradient" and row.clearance[0] >= margin
+    q = row.q[0].astype(np.float64)
+    assert np.max(np.abs(jaxik.forward_kinematics(ROBOT, q) - Grasp().poses(ROBOT, OPEN.marks[0], row.angle)[0])) <= 2e-5
 
 
 @pytest.mark.parametrize("leading", [0, 2])

@@ -25,7 +25,7 @@ import jaxik
 from jaxik import Reason
 from jaxik.files.shipped import models_folder
 from jaxik.spmd import HostKernel
-from jaxik.sweeps.cluster import _on_worker, _piece
+from jaxik.sweeps.driver import _on_worker, _piece
 from jaxik.sweeps.store import StoreError
 from jaxik.sweeps.targets import directions
 
@@ -197,10 +197,10 @@ def test_search_answers_what_has_no_closed_form():
 
 def test_a_closed_form_that_is_given_nothing_misses_nothing(tmp_path, monkeypatch):
     """More positions of no slide are no effort: nothing is asked again, and the picture has no panel of what was missed."""
-    from jaxik.sweeps import auditing
+    from jaxik.sweeps import driver
     from jaxik.view import sweep_picture
 
-    monkeypatch.setattr(auditing, "answer", lambda *_: pytest.fail("asked again"))
+    monkeypatch.setattr(driver, "_again", lambda *_: pytest.fail("asked again"))
     targets = {"kind": "grid", "x": [0.3, 0.9, 3], "y": [0.0, 0.4, 3], "z": [0.2, 0.8, 3], "directions": [[0, 0, -1]]}
     done = jaxik.sweep({"robot": "ur5e", "targets": targets}, tmp_path / "u.zarr")
     known = done.dataset().attrs
@@ -215,7 +215,7 @@ def test_what_is_missed_is_measured(tmp_path):
     """The audit's rates, against sweeps of the same targets with the same efforts; and its bound against SciPy's own test."""
     from scipy.stats import binomtest
 
-    from jaxik.sweeps.auditing import bound
+    from jaxik.sweeps.driver import rate_bound
 
     study = SMALL | {"refine": 0, "slides": 4, "audited": 10**6, "chunk": 700}
     known = jaxik.sweep(study, tmp_path / "a.zarr").dataset().attrs
@@ -227,7 +227,7 @@ def test_what_is_missed_is_measured(tmp_path):
     assert known["false_negative_rate"] == efforts["rates"][2] > 0.0
     assert efforts["of"] == ["slide"] and known["audit"].keys() == {"closed form"}
     for missed, of in ((0, 100), (3, 50), (7, 7)):
-        limit = bound(missed, of)
+        limit = rate_bound(missed, of)
         assert limit == 1.0 or abs(binomtest(missed, of, limit, "less").pvalue - 0.05) < 1e-6
 
 
@@ -374,6 +374,7 @@ def test_crops_keep_clear_of_their_own_scene():
             "scenes and [collision] scene both say",
         ),
         ({"targets": {"poses": [[0, 1, 0]], "path": "a.csv"}}, "path and poses say the same"),
+        ({"targets": {"poses": [[0, 1, 0], [0, 1]]}}, "poses: list that is no array of numbers"),
         ({"base": {"y": []}}, "'y' holds no number"),
         ({"base": {"y": [0.0, float("inf")]}}, "'y' holds inf"),
         ({"parameters": {"slide.upper": []}}, "slide.upper holds no number"),
