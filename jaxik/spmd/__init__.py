@@ -7,11 +7,10 @@
 
 It knows no robot. In the order in which a function passes through: `trace` (to a jaxpr), `scalarise` and its `rules` (to a
 `program` of scalars, with `elementary` functions by polynomials), `emit` (LLVM's language, a vector of lanes at a time: what is
-needed and what varies by `liveness`, names by `values`, instructions by `arithmetic`, loads and stores by `memory` and by
-`rows`, all written as `text`), `handler` (what XLA calls) and `threads`, `machine` (machine code), `call` (kept in memory and
-on disk), `primitive` (batches, derivatives where there is `linearity`, lowering). `host` calls a kernel on NumPy arrays,
-`control_loop` one with a state, sample by sample; `describe` says what was made of a function. `docs/kernels.md` tells it from
-the beginning.
+needed and what varies by `liveness`, names, loads and stores by `memory`, instructions by `arithmetic`, all written as `text`),
+`handler` (what XLA calls) and `threads`, `machine` (machine code), `call` (kept in memory and on disk), `primitive` (batches,
+derivatives where `tangents` are linear, lowering). `host` calls a kernel on NumPy arrays, `control_loop` one with a state,
+sample by sample; `describe` says what was made of a function. `docs/kernels.md` tells it from the beginning.
 """
 
 from jaxik.spmd import jax_version as jax_version  # first: it may refuse

@@ -54,14 +54,6 @@ def read(name: str) -> bytes | None:
     return image if image and hashlib.sha256(image).digest() == check else None
 
 
-def drop(name: str) -> None:
-    """Away with an object that is whole and of no use."""
-    folder = cache_folder()
-    if folder is not None:
-        with contextlib.suppress(OSError):
-            (folder / name).unlink()
-
-
 def _read(folder: Path, name: str) -> bytes:
     """Reads a file and judges the very file that it read: each is opened once, by no link. Raises `OSError`."""
     inside = os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))

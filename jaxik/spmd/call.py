@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import dataclasses
 import functools
@@ -114,31 +115,22 @@ def _make(traced: Traced, shared: tuple[bool, ...]) -> Made:
     flags = "".join("s" if s else "r" for s in shared)
     name = f"{cache.OURS}{hashlib.sha256(f'{traced.digest}{flags}{QUICK}{_version()}'.encode()).hexdigest()[:32]}"
     stored = cache.read(name)
-    linked = None if stored is None else _linked(stored, name)
-    if linked is None:
-        planned = plan(traced, shared, name)
-        stored = np.array([planned.width, planned.chunk]).tobytes() + machine.compiled(
-            planned.text, len(planned.needed) > QUICK
-        )
-        cache.write(name, stored)
-        linked = _linked(stored, name, whole=True)
-    address, work, width, chunk = linked
+    if stored is not None:
+        with contextlib.suppress(RuntimeError, ValueError):  # whole and of no use: another takes its place
+            return _linked(stored, name)
+    planned = plan(traced, shared, name)
+    image = machine.compiled(planned.text, len(planned.needed) > QUICK)
+    stored = np.array([planned.width, planned.chunk]).tobytes() + image
+    cache.write(name, stored)
+    return _linked(stored, name)
+
+
+def _linked(stored: bytes, name: str) -> Made:
+    """The kernel in an object, known to XLA. Raises `RuntimeError` or `ValueError` for one that does not link."""
+    width, chunk = map(int, np.frombuffer(stored[:16], np.int64))
+    address, work = machine.linked(stored[16:], name, f"{name}_work")
     jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(ctypes.CFUNCTYPE(ctypes.c_void_p)(address)), platform="cpu")
     return Made(name, ctypes.CFUNCTYPE(None, ctypes.c_void_p)(work), width, chunk)
-
-
-def _linked(stored: bytes, name: str, whole: bool = False) -> tuple[int, int, int, int] | None:
-    """The addresses of the handler and of what works, the width and the chunk. What is `whole` has to link; what is not, of
-    the disk, is dropped."""
-    try:
-        width, chunk = map(int, np.frombuffer(stored[:16], np.int64))
-        address, work = machine.linked(stored[16:], name, f"{name}_work")
-    except (RuntimeError, ValueError):
-        if whole:
-            raise
-        cache.drop(name)
-        return None
-    return address, work, width, chunk
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -133,7 +133,13 @@ class PackedStep:
             after = step(self._state.of(row[:size]), *self._given.of(row[size:]))
             return jnp.concatenate([jnp.asarray(x, row.dtype).ravel() for x in jax.tree_util.tree_leaves(after)])
 
-        self._run = repeated(of_row, _row(*self._state.leaves(state), *self._given.leaves(given))[None])
+        kernel, first = HostKernel(of_row, 1), _row(*self._state.leaves(state), *self._given.leaves(given))[None]
+        try:
+            self._run = kernel.repeated(first, double=True)
+        except Unsupported:
+            self._run = functools.partial(_by_xla, kernel)
+        self._run(first)
+        self._lock = threading.Lock()  # the kernel has one place for what it is given
 
     def fits(self, state: Any, *given: Any) -> bool:
         """Whether trees have the shapes of those that it was compiled for."""
@@ -155,7 +161,8 @@ class PackedStep:
                 raise ValueError
         except (AttributeError, TypeError, ValueError):
             raise ValueError(self._refused(state, given)) from None
-        (after,) = self._run(row[None])
+        with self._lock:
+            (after,) = self._run(row[None])
         size = self._state.size
         return Packed(after[0, :size], self._state), self._told.of(after[0, size:])
 
@@ -206,24 +213,6 @@ def _wide(tree: Any) -> Any:
     return jax.tree_util.tree_map(lambda x: wide(jnp.asarray(x)), tree)
 
 
-def repeated(function: Callable[..., Any], *rows: np.ndarray) -> Callable[..., list[np.ndarray]]:
-    """Compiles `function` for rows such as these (1, ...), in float64, to be called again and again: one kernel, or by XLA
-    where there is none. Threads wait for each other: the kernel has one place for what it is given."""
-    kernel = HostKernel(function, len(rows))
-    try:
-        run = kernel.repeated(*rows, double=True)
-    except Unsupported:
-        run = functools.partial(_by_xla, kernel)
-    run(*rows)
-    lock = threading.Lock()
-
-    def alone(*rows: np.ndarray) -> list[np.ndarray]:
-        with lock:
-            return run(*rows)
-
-    return alone
-
-
-def _by_xla(kernel: HostKernel, *rows: np.ndarray) -> list[np.ndarray]:
+def _by_xla(kernel: HostKernel, row: np.ndarray) -> list[np.ndarray]:
     with jax.enable_x64(True):
-        return [np.asarray(kernel.by_xla(*rows))]
+        return [np.asarray(kernel.by_xla(row))]

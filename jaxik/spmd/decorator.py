@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxik.spmd.primitive import bind, warn
 from jaxik.spmd.scalarise import Unsupported, scalarised
-from jaxik.spmd.trace import Traced, ordering, trace
+from jaxik.spmd.trace import Traced, ordering, replaced, trace
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -27,6 +27,13 @@ class _Known(dict[Any, tuple[Traced, Any, list[Any]]]):
 
     def __reduce__(self) -> Any:
         return _Known, ()
+
+    def keep(self, key: Any, found: tuple[Traced, Any, list[Any]]) -> None:
+        """Adds a trace, instead of the oldest where there are many."""
+        if len(self) >= KEPT:
+            with contextlib.suppress(RuntimeError):  # of another thread that does the same
+                self.pop(next(iter(self)), None)
+        self[key] = found
 
 
 @overload
@@ -63,7 +70,7 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
         if jax.config.values["jax_disable_jit"]:
             return function(*args, **named)
         fixed, rest = args[:models], (args[models:], named)
-        numbers, model_tree = jax.tree_util.tree_flatten(fixed)
+        numbers = jax.tree_util.tree_leaves(fixed)
         moving = [i for i, x in enumerate(numbers) if isinstance(x, jax.core.Tracer)]
         leaves, tree = jax.tree_util.tree_flatten(rest)
         if not all(isinstance(x, jax.Array) or np.asarray(x).dtype.kind in "biuf" for x in leaves):
@@ -75,31 +82,15 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
         key = None if moving else (fixed, kinds, tree, tuple((x.shape, x.dtype, x.weak_type) for x in shapes), width)
         found = known.get(key)
         if found is None:
-
-            def flattened(function: Callable[..., Any], name: str) -> Callable[..., Any]:
-                def flat(*operands: Any) -> Any:
-                    inner = list(numbers)
-                    for i, x in zip(moving, operands, strict=False):
-                        inner[i] = x
-                    models = jax.tree_util.tree_unflatten(model_tree, inner) if moving else fixed
-                    placed, named = jax.tree_util.tree_unflatten(tree, operands[len(moving) :])
-                    return function(*models, *placed, **named)
-
-                flat.__name__ = name
-                return flat
-
             name = getattr(function, "__name__", "a function")
             with contextlib.suppress(TypeError, ValueError):
-                found = trace(flattened(function, name), shapes)
-            if found is not None and order is not None and not moving:
-                found[0].order = ordering(flattened(order, f"the order of {name}"), shapes)
+                found = trace(_flattened(function, name, fixed, moving, tree), shapes)
             if found is None:
                 return function(*args, **named)  # says what is wrong in its own words, of what was given
+            if order is not None and not moving:
+                found[0].order = ordering(_flattened(order, f"the order of {name}", fixed, moving, tree), shapes)
             if key is not None and not found[2]:  # what it closes over may be another array in the next call
-                if len(known) >= KEPT:
-                    with contextlib.suppress(RuntimeError):  # of another thread that does the same
-                        known.pop(next(iter(known)), None)
-                known[key] = found
+                known.keep(key, found)
         traced, results, more = found
         if traced.closed.effects:  # what prints or talks to other lanes stands where it is called, or it would be lost
             try:
@@ -113,6 +104,21 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
 
     call.models = models  # type: ignore[attr-defined]
     return call
+
+
+def _flattened(function: Callable[..., Any], name: str, fixed: Any, moving: list[int], tree: Any) -> Callable[..., Any]:
+    """The function, called `name`, of flat operands: those numbers of the `fixed` models that are `moving`, then the leaves of
+    the other arguments, which are a `tree`."""
+    numbers, model_tree = jax.tree_util.tree_flatten(fixed)
+
+    def flat(*operands: Any) -> Any:
+        inner = replaced(numbers, moving, operands[: len(moving)])
+        models = jax.tree_util.tree_unflatten(model_tree, inner) if moving else fixed
+        placed, named = jax.tree_util.tree_unflatten(tree, operands[len(moving) :])
+        return function(*models, *placed, **named)
+
+    flat.__name__ = name
+    return flat
 
 
 def _keywords(function: Callable[..., Any]) -> frozenset[str]:

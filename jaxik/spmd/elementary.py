@@ -29,12 +29,9 @@ from jax.extend.core import ClosedJaxpr
 FUNCTIONS: dict[str, Callable[..., Any]] = {}
 
 
-def _primitive(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    def register(function: Callable[..., Any]) -> Callable[..., Any]:
-        FUNCTIONS.update(dict.fromkeys(names, function))
-        return function
-
-    return register
+def _primitive(function: Callable[..., Any]) -> Callable[..., Any]:
+    FUNCTIONS[function.__name__] = function
+    return function
 
 
 @functools.cache
@@ -54,15 +51,13 @@ def _polynomial(u: Any, coefficients: Sequence[float]) -> Any:
     return value
 
 
-def _wide(x: Any) -> bool:
-    return bool(x.dtype == np.float64)
+# by a float's bytes: an integer as wide, the bits of its mantissa, and what is added to its exponent
+_LAYOUT: dict[int, tuple[Any, int, int]] = {4: (np.int32, 23, 127), 8: (np.int64, 52, 1023)}
 
 
-def _bits(x: Any, kind: Any = None) -> Any:
-    """The number's bits as an integer of its width, or back."""
-    if kind is None:
-        kind = {4: np.int32, 8: np.int64}[x.dtype.itemsize] if jnp.issubdtype(x.dtype, jnp.floating) else None
-    return lax.bitcast_convert_type(x, kind)
+def _bits(x: Any) -> Any:
+    """The number's bits as an integer of its width."""
+    return lax.bitcast_convert_type(x, _LAYOUT[x.dtype.itemsize][0])
 
 
 # Cody and Waite's parts of ln 2 [Software Manual for the Elementary Functions, 1980]
@@ -95,30 +90,30 @@ def _exponential(x: Any, shift: float) -> Any:
 
 def _power_of_two(k: Any) -> Any:
     """2**k for a whole number k inside the range of exponents."""
-    integer, mantissa, bias = (np.int32, 23, 127) if k.dtype == np.float32 else (np.int64, 52, 1023)
+    integer, mantissa, bias = _LAYOUT[k.dtype.itemsize]
     return lax.bitcast_convert_type((k.astype(integer) + bias) << mantissa, k.dtype)
 
 
 def _inverse_power(x: Any) -> Any:
     """The power of two that takes a positive, finite x between 1 and 4."""
-    mantissa, bias = (23, 127) if x.dtype == np.float32 else (52, 1023)
+    _, mantissa, bias = _LAYOUT[x.dtype.itemsize]
     exponent = _bits(x) & ~((1 << mantissa) - 1)
-    return _bits(jnp.maximum((2 * bias << mantissa) - exponent, 1 << mantissa), x.dtype)
+    return lax.bitcast_convert_type(jnp.maximum((2 * bias << mantissa) - exponent, 1 << mantissa), x.dtype)
 
 
-@_primitive("exp")
+@_primitive
 def exp(x: Any) -> Any:
     """e**x, within 2 ulp; 0 and infinity beyond the range."""
     return _exponential(x, 0.0)
 
 
-@_primitive("expm1")
+@_primitive
 def expm1(x: Any) -> Any:
     """exp(x) - 1, within 5 ulp also near 0."""
     return jnp.where(x == 0, x, _exponential(x, -1.0))
 
 
-@_primitive("exp2")
+@_primitive
 def exp2(x: Any) -> Any:
     """2**x, within 3 ulp."""
     kind = x.dtype.type
@@ -132,15 +127,15 @@ def exp2(x: Any) -> Any:
     return jnp.where(x != x, x, value)
 
 
-@_primitive("log")
+@_primitive
 def log(x: Any) -> Any:
     """Natural logarithm, within 3 ulp; -infinity of 0, NaN below: `e ln 2 + 2 artanh(f)` with f = (m - 1) / (m + 1), by its
     series on |f| <= 3 - sqrt 8."""
     size, kind = x.dtype.itemsize, x.dtype.type
-    integer, mantissa = (np.int32, 23) if size == 4 else (np.int64, 52)
+    integer, mantissa, _ = _LAYOUT[size]
     tiny = x < np.finfo(x.dtype).tiny  # denormal
     scaled = jnp.where(tiny, x * kind(2.0**mantissa), x)
-    bits = lax.bitcast_convert_type(scaled, integer)
+    bits = _bits(scaled)
     root = np.asarray(math.sqrt(0.5), x.dtype).view(integer).item()
     e = (bits - root) >> mantissa
     m = lax.bitcast_convert_type(bits - (e << mantissa), x.dtype)
@@ -157,7 +152,7 @@ def log(x: Any) -> Any:
     return jnp.where((x < 0) | (x != x), kind(np.nan), value)
 
 
-@_primitive("log1p")
+@_primitive
 def log1p(x: Any) -> Any:
     """log(1 + x), within 4 ulp also near 0, by Kahan's correction: what rounding takes from 1 + x cancels in the ratio."""
     u = 1 + x
@@ -165,16 +160,16 @@ def log1p(x: Any) -> Any:
     return jnp.where((x <= -1) | (x != x), log(u), plain)
 
 
-@_primitive("tanh")
+@_primitive
 def tanh(x: Any) -> Any:
     """Hyperbolic tangent, within 5 ulp."""
-    limit = 20.0 if _wide(x) else 10.0
+    limit = 20.0 if x.dtype == np.float64 else 10.0
     e = expm1(2 * lax.clamp(x.dtype.type(-limit), x, x.dtype.type(limit)))
     value = jnp.where(e == 0, x, e / (e + 2))
     return jnp.where(x != x, x, value)
 
 
-@_primitive("sinh")
+@_primitive
 def sinh(x: Any) -> Any:
     """Hyperbolic sine, within 5 ulp."""
     a = jnp.abs(x)
@@ -184,33 +179,33 @@ def sinh(x: Any) -> Any:
     return jnp.where(x == 0, x, jnp.where(x < 0, -value, value))
 
 
-@_primitive("cosh")
+@_primitive
 def cosh(x: Any) -> Any:
     """Hyperbolic cosine, within 5 ulp."""
     half = exp(jnp.abs(x) * x.dtype.type(0.5))
     return (half * x.dtype.type(0.5)) * half + (x.dtype.type(0.5) / half) / half
 
 
-@_primitive("asinh")
+@_primitive
 def asinh(x: Any) -> Any:
     """Inverse hyperbolic sine, within 8 ulp."""
     a = jnp.abs(x)
-    large = a > 1e9 if _wide(x) else a > 1e5
+    large = a > (1e9 if x.dtype == np.float64 else 1e5)
     near = jnp.where(large, 1, a)
     value = jnp.where(large, log(a) + x.dtype.type(math.log(2)), log1p(near + near * near / (1 + jnp.sqrt(1 + near * near))))
     return jnp.where(x == 0, x, jnp.where(x < 0, -value, value))
 
 
-@_primitive("acosh")
+@_primitive
 def acosh(x: Any) -> Any:
     """Inverse hyperbolic cosine, within 8 ulp; NaN below 1."""
-    large = x > 1e9 if _wide(x) else x > 1e5
+    large = x > (1e9 if x.dtype == np.float64 else 1e5)
     near = jnp.where(large, 1, x) - 1
     value = jnp.where(large, log(x) + x.dtype.type(math.log(2)), log1p(near + jnp.sqrt(near * (near + 2))))
     return jnp.where(x < 1, x.dtype.type(np.nan), value)
 
 
-@_primitive("atanh")
+@_primitive
 def atanh(x: Any) -> Any:
     """Inverse hyperbolic tangent, within 8 ulp; NaN beyond -1 and 1."""
     a = jnp.abs(x)
@@ -218,13 +213,13 @@ def atanh(x: Any) -> Any:
     return jnp.where(x == 0, x, jnp.where(x < 0, -value, value))
 
 
-@_primitive("logistic")
+@_primitive
 def logistic(x: Any) -> Any:
     """1 / (1 + exp(-x)), within 4 ulp."""
     return 1 / (1 + exp(-x))
 
 
-@_primitive("cbrt")
+@_primitive
 def cbrt(x: Any) -> Any:
     """Cube root with the sign of x, within 4 ulp."""
     a = jnp.abs(x)
@@ -283,27 +278,27 @@ def sincos(x: Any) -> tuple[Any, Any]:
     return jnp.where((quadrant & 2) == 2, -s, s), jnp.where(((quadrant + 1) & 2) == 2, -c, c)
 
 
-@_primitive("sin")
+@_primitive
 def sin(x: Any) -> Any:
     """Sine of x [rad], within 2 ulp of 1, for |x| up to `FAR`."""
     s = sincos(x)[0]
     return jnp.where(x == 0, x, s)
 
 
-@_primitive("cos")
+@_primitive
 def cos(x: Any) -> Any:
     """Cosine of x [rad], within 2 ulp of 1, for |x| up to `FAR`."""
     return sincos(x)[1]
 
 
-@_primitive("tan")
+@_primitive
 def tan(x: Any) -> Any:
     """Tangent of x [rad], within 6 ulp, for |x| up to `FAR`."""
     s, c = sincos(x)
     return jnp.where(x == 0, x, s / c)
 
 
-@_primitive("atan2")
+@_primitive
 def atan2(y: Any, x: Any) -> Any:
     """The angle of (x, y) [rad], within 2 ulp of pi, with the quadrants and signed zeros of IEEE 754."""
     kind = x.dtype.type
@@ -325,25 +320,25 @@ def atan2(y: Any, x: Any) -> Any:
     return jnp.where((x != x) | (y != y), kind(np.nan), angle)
 
 
-@_primitive("atan")
+@_primitive
 def atan(x: Any) -> Any:
     """Inverse tangent [rad], within 3 ulp."""
     return atan2(x, jnp.ones_like(x))
 
 
-@_primitive("asin")
+@_primitive
 def asin(x: Any) -> Any:
     """Inverse sine [rad], within 4 ulp; NaN beyond -1 and 1."""
     return atan2(x, jnp.sqrt((1 - x) * (1 + x)))
 
 
-@_primitive("acos")
+@_primitive
 def acos(x: Any) -> Any:
     """Inverse cosine [rad], within 4 ulp of pi; NaN beyond -1 and 1."""
     return atan2(jnp.sqrt((1 - x) * (1 + x)), x)
 
 
-@_primitive("usual_pow")
+@_primitive
 def usual_pow(x: Any, y: Any) -> Any:
     """x**y of a positive, finite x in float32, within 2 ulp: in float64, where the logarithm has digits to spare."""
     wide = exp(y.astype(np.float64) * log(x.astype(np.float64)))

@@ -12,13 +12,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxik.spmd import rows
 from jaxik.spmd.arithmetic import Expression, instruction
 from jaxik.spmd.liveness import Liveness
-from jaxik.spmd.memory import Accesses
+from jaxik.spmd.memory import Accesses, Values, starts, together, write_rows
 from jaxik.spmd.program import TYPES, Branch, Loop, Memory, Op, Program, Whole
 from jaxik.spmd.text import ALIGNED, BYTES, Text, buffers, literal, stored
-from jaxik.spmd.values import Values
 
 Block = tuple[int, int, int]  # of an output: its number, the first of the columns, how many
 
@@ -66,8 +64,8 @@ class Emitter:
             if isinstance(row, Whole):
                 due.setdefault(row.after, []).append((number, 0, 0))
                 continue
-            count = rows.together(len(row), self.text.width)
-            for first in rows.starts(len(row), self.text.width):
+            count = together(len(row), self.text.width)
+            for first in starts(len(row), self.text.width):
                 last = max((v for v in row[first : first + count] if v in order), key=lambda v: order[v], default=-1)
                 due.setdefault(last, []).append((number, first, count))
         return due
@@ -86,12 +84,12 @@ class Emitter:
         block = row[first : first + count]
         kind = values.kind(block[0])
         columns = [self.text.as_stored(values.name(v, True), kind) for v in block]
-        rows.write(self.text, f"%out{number}", len(row), first, columns, stored(kind))
+        write_rows(self.text, f"%out{number}", len(row), first, columns, stored(kind))
 
     def _copied(self, number: int, memory: Memory) -> None:
         """A lane's scratch into its row, in a loop over a few columns at a time; the last may have been copied before."""
         t, kind, size = self.text, stored(memory.type), memory.size
-        count, shape = rows.together(size, t.width), t.vector(kind)
+        count, shape = together(size, t.width), t.vector(kind)
         before, head, end = t.block, t.label("copy"), t.label("copied")
         t.line(f"br label %{head}")
         t.start(head)
@@ -104,7 +102,7 @@ class Emitter:
             place = t.assign(f"getelementptr {shape}, ptr {place}, i64 {k}")
             columns.append(t.assign(f"load {shape}, ptr {place}, align {t.align(kind)}"))
         base = t.assign(f"getelementptr {kind}, ptr %out{number}, i64 {first}")
-        rows.write(t, base, size, 0, columns, kind)
+        write_rows(t, base, size, 0, columns, kind)
         t.line(f"{step} = add i64 {at}, {count}")
         more = t.assign(f"icmp ult i64 {step}, {size}")
         t.line(f"br i1 {more}, label %{head}, label %{end}")

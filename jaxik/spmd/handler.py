@@ -102,27 +102,27 @@ def _range(rows_in: Sequence[Row], rows_out: Sequence[Row], width: int) -> str:
     results = [(f"bo{k}", width * row.bytes) for k, row in enumerate(rows_out)]
     own_rows, released = buffers([*((f"bi{k}", width * rows_in[k].bytes) for k in own), *results])
     t.lines += ["define internal void @range(ptr %c, i64 %begin, i64 %end) #0 {", "entry:"]
-    t.put(*FLUSHES.begin, f"%ins = alloca [{max(len(rows_in), 1)} x ptr]", f"%outs = alloca [{max(len(rows_out), 1)} x ptr]")
+    t.line(*FLUSHES.begin, f"%ins = alloca [{max(len(rows_in), 1)} x ptr]", f"%outs = alloca [{max(len(rows_out), 1)} x ptr]")
     t.lines += own_rows
     t.word("inner", "i64", "c", INNER)
     t.word("vectors", "i64", "c", VECTORS)
-    t.put("%any = icmp ult i64 %begin, %end", "br i1 %any, label %next, label %out")
+    t.line("%any = icmp ult i64 %begin, %end", "br i1 %any, label %next, label %out")
     t.start("next")
-    t.put("%turn = phi i64 [ %begin, %entry ], [ %next_turn, %done ]")
-    t.put("%o = udiv i64 %turn, %vectors", "%first = mul i64 %o, %vectors", "%k = sub i64 %turn, %first")
-    t.put(f"%row = mul i64 %k, {width}", "%left = sub i64 %inner, %row")
+    t.line("%turn = phi i64 [ %begin, %entry ], [ %next_turn, %done ]")
+    t.line("%o = udiv i64 %turn, %vectors", "%first = mul i64 %o, %vectors", "%k = sub i64 %turn, %first")
+    t.line(f"%row = mul i64 %k, {width}", "%left = sub i64 %inner, %row")
     _rows(t, rows_in, rows_out)
-    t.put(f"%whole = icmp uge i64 %left, {width}", "br i1 %whole, label %full, label %part")
+    t.line(f"%whole = icmp uge i64 %left, {width}", "br i1 %whole, label %full, label %part")
     t.start("full")
-    t.put("call void @lanes(ptr %ins, ptr %outs)", "br label %done")
+    t.line("call void @lanes(ptr %ins, ptr %outs)", "br label %done")
     t.start("part")
     _part(t, own, rows_in, rows_out, width)
-    t.put("br label %done")
+    t.line("br label %done")
     t.start("done")
-    t.put("%next_turn = add i64 %turn, 1", "%more = icmp ult i64 %next_turn, %end", "br i1 %more, label %next, label %out")
+    t.line("%next_turn = add i64 %turn, 1", "%more = icmp ult i64 %next_turn, %end", "br i1 %more, label %next, label %out")
     t.start("out")
     t.lines += released
-    t.put(*FLUSHES.end, "ret void")
+    t.line(*FLUSHES.end, "ret void")
     return "\n".join([*t.lines, "}"])
 
 
@@ -131,38 +131,38 @@ def _rows(t: _Words, rows_in: Sequence[Row], rows_out: Sequence[Row]) -> None:
     for k, row in enumerate(rows_in):
         t.word(f"a{k}", "ptr", "c", FIRST + 2 * k)
         t.word(f"s{k}", "i64", "c", FIRST + 2 * k + 1)
-        t.put(f"%so{k} = mul i64 %o, %s{k}", f"%u{k} = getelementptr i8, ptr %a{k}, i64 %so{k}")
-        t.put(f"%sr{k} = mul i64 {0 if row.shared else '%row'}, {row.bytes}")
-        t.put(f"%v{k} = getelementptr i8, ptr %u{k}, i64 %sr{k}")
-        t.put(f"%pi{k} = getelementptr ptr, ptr %ins, i64 {k}", f"store ptr %v{k}, ptr %pi{k}")
-    t.put("%before = mul i64 %o, %inner", "%at = add i64 %before, %row")
+        t.line(f"%so{k} = mul i64 %o, %s{k}", f"%u{k} = getelementptr i8, ptr %a{k}, i64 %so{k}")
+        t.line(f"%sr{k} = mul i64 {0 if row.shared else '%row'}, {row.bytes}")
+        t.line(f"%v{k} = getelementptr i8, ptr %u{k}, i64 %sr{k}")
+        t.line(f"%pi{k} = getelementptr ptr, ptr %ins, i64 {k}", f"store ptr %v{k}, ptr %pi{k}")
+    t.line("%before = mul i64 %o, %inner", "%at = add i64 %before, %row")
     for k, row in enumerate(rows_out):
         t.word(f"r{k}", "ptr", "c", FIRST + 2 * len(rows_in) + k)
-        t.put(f"%sw{k} = mul i64 %at, {row.bytes}", f"%w{k} = getelementptr i8, ptr %r{k}, i64 %sw{k}")
-        t.put(f"%po{k} = getelementptr ptr, ptr %outs, i64 {k}", f"store ptr %w{k}, ptr %po{k}")
+        t.line(f"%sw{k} = mul i64 %at, {row.bytes}", f"%w{k} = getelementptr i8, ptr %r{k}, i64 %sw{k}")
+        t.line(f"%po{k} = getelementptr ptr, ptr %outs, i64 {k}", f"store ptr %w{k}, ptr %po{k}")
 
 
 def _part(t: _Words, own: Sequence[int], rows_in: Sequence[Row], rows_out: Sequence[Row], width: int) -> None:
     """Fewer rows than a vector has lanes: copied, the last of them as often as there are lanes left."""
-    t.put("%last = sub i64 %left, 1")
+    t.line("%last = sub i64 %left, 1")
     come = t.block
     for k in own:
         size = rows_in[k].bytes
-        t.put(f"br label %fill{k}")
+        t.line(f"br label %fill{k}")
         t.start(f"fill{k}")
-        t.put(f"%f{k} = phi i64 [ 0, %{come} ], [ %g{k}, %fill{k} ]", f"%m{k} = call i64 @llvm.umin.i64(i64 %f{k}, i64 %last)")
-        t.put(f"%n{k} = mul i64 %m{k}, {size}", f"%from{k} = getelementptr i8, ptr %v{k}, i64 %n{k}")
-        t.put(f"%d{k} = mul i64 %f{k}, {size}", f"%to{k} = getelementptr i8, ptr %bi{k}, i64 %d{k}")
-        t.put(f"call void @llvm.memcpy.p0.p0.i64(ptr %to{k}, ptr %from{k}, i64 {size}, i1 false)")
-        t.put(f"%g{k} = add i64 %f{k}, 1", f"%e{k} = icmp ult i64 %g{k}, {width}")
-        t.put(f"br i1 %e{k}, label %fill{k}, label %filled{k}")
+        t.line(f"%f{k} = phi i64 [ 0, %{come} ], [ %g{k}, %fill{k} ]", f"%m{k} = call i64 @llvm.umin.i64(i64 %f{k}, i64 %last)")
+        t.line(f"%n{k} = mul i64 %m{k}, {size}", f"%from{k} = getelementptr i8, ptr %v{k}, i64 %n{k}")
+        t.line(f"%d{k} = mul i64 %f{k}, {size}", f"%to{k} = getelementptr i8, ptr %bi{k}, i64 %d{k}")
+        t.line(f"call void @llvm.memcpy.p0.p0.i64(ptr %to{k}, ptr %from{k}, i64 {size}, i1 false)")
+        t.line(f"%g{k} = add i64 %f{k}, 1", f"%e{k} = icmp ult i64 %g{k}, {width}")
+        t.line(f"br i1 %e{k}, label %fill{k}, label %filled{k}")
         come = f"filled{k}"
         t.start(come)
-        t.put(f"store ptr %bi{k}, ptr %pi{k}")
-    t.put(*(f"store ptr %bo{k}, ptr %po{k}" for k in range(len(rows_out))), "call void @lanes(ptr %ins, ptr %outs)")
+        t.line(f"store ptr %bi{k}, ptr %pi{k}")
+    t.line(*(f"store ptr %bo{k}, ptr %po{k}" for k in range(len(rows_out))), "call void @lanes(ptr %ins, ptr %outs)")
     for k, row in enumerate(rows_out):
-        t.put(f"%c{k} = mul i64 %left, {row.bytes}")
-        t.put(f"call void @llvm.memcpy.p0.p0.i64(ptr %w{k}, ptr %bo{k}, i64 %c{k}, i1 false)")
+        t.line(f"%c{k} = mul i64 %left, {row.bytes}")
+        t.line(f"call void @llvm.memcpy.p0.p0.i64(ptr %w{k}, ptr %bo{k}, i64 %c{k}, i1 false)")
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -173,16 +173,16 @@ def _entry(name: str, rows_in: Sequence[Row], rows_out: Sequence[Row], width: in
     """`name(frame)`: answers what it is; or checks buffers, fills the table of words and has all vectors done."""
     t = _Words()
     t.lines += [f"define ptr @{name}(ptr %frame) #0 {{", "entry:"]
-    t.put(f"%here = alloca [{FIRST + 2 * len(rows_in) + len(rows_out)} x i64], align 64")
+    t.line(f"%here = alloca [{FIRST + 2 * len(rows_in) + len(rows_out)} x i64], align 64")
     _described(t)
     for field in ("api", "context", "args", "rets"):
         t.field(field, "ptr", "frame", FRAME[field])
     _checked(t, rows_in, rows_out)
-    t.put(f"%up = add i64 %inner, {width - 1}", f"%vectors = udiv i64 %up, {width}", "%total = mul i64 %outer, %vectors")
+    t.line(f"%up = add i64 %inner, {width - 1}", f"%vectors = udiv i64 %up, {width}", "%total = mul i64 %outer, %vectors")
     for word, what in ((INNER, "%inner"), (VECTORS, "%vectors"), (TOTAL, "%total"), (NEXT, "0"), (DONE, "0")):
         t.keep("i64", what, "here", word)
     for k, row in enumerate(rows_in):
-        t.put(f"%table{k} = mul i64 %x{k}.dim1, {row.bytes}", f"%step{k} = select i1 %x{k}.one, i64 0, i64 %table{k}")
+        t.line(f"%table{k} = mul i64 %x{k}.dim1, {row.bytes}", f"%step{k} = select i1 %x{k}.one, i64 0, i64 %table{k}")
         t.field(f"x{k}.data", "ptr", f"x{k}", BUFFER["data"])
         t.keep("ptr", f"%x{k}.data", "here", FIRST + 2 * k)
         t.keep("i64", f"%step{k}", "here", FIRST + 2 * k + 1)
@@ -191,25 +191,25 @@ def _entry(name: str, rows_in: Sequence[Row], rows_out: Sequence[Row], width: in
         t.keep("ptr", f"%y{k}.data", "here", FIRST + 2 * len(rows_in) + k)
         if sys.platform == "linux":
             _advise(t, k, rows_out[k].bytes)
-    t.put("call void @parallel(ptr %here, ptr %api, ptr %context)", "ret ptr null")
+    t.line("call void @parallel(ptr %here, ptr %api, ptr %context)", "ret ptr null")
     t.start("other")
-    t.put("%refused = call ptr @refused(ptr %api)", "ret ptr %refused")
+    t.line("%refused = call ptr @refused(ptr %api)", "ret ptr %refused")
     return "\n".join([*t.lines, "}"])
 
 
 def _advise(t: _Words, k: int, size: int) -> None:
     """Asks for large pages where a result is large and new, as NumPy does: to come upon one small page after the other takes
     longer than to compute what goes there."""
-    t.put(f"%rows{k} = mul i64 %outer, %inner", f"%bytes{k} = mul i64 %rows{k}, {size}")
-    t.put(f"%large{k} = icmp uge i64 %bytes{k}, {LARGE}", f"br i1 %large{k}, label %advise{k}, label %advised{k}")
+    t.line(f"%rows{k} = mul i64 %outer, %inner", f"%bytes{k} = mul i64 %rows{k}, {size}")
+    t.line(f"%large{k} = icmp uge i64 %bytes{k}, {LARGE}", f"br i1 %large{k}, label %advise{k}, label %advised{k}")
     t.start(f"advise{k}")
-    t.put(
+    t.line(
         f"%begin{k} = ptrtoint ptr %y{k}.data to i64",
         f"%next{k} = add i64 %begin{k}, 4095",
         f"%page{k} = and i64 %next{k}, -4096",
     )
-    t.put(f"%cut{k} = sub i64 %bytes{k}, 4096", f"%from{k} = inttoptr i64 %page{k} to ptr")
-    t.put(f"call i32 @madvise(ptr %from{k}, i64 %cut{k}, i32 {MADV_HUGEPAGE})", f"br label %advised{k}")
+    t.line(f"%cut{k} = sub i64 %bytes{k}, 4096", f"%from{k} = inttoptr i64 %page{k} to ptr")
+    t.line(f"call i32 @madvise(ptr %from{k}, i64 %cut{k}, i32 {MADV_HUGEPAGE})", f"br label %advised{k}")
     t.start(f"advised{k}")
 
 
@@ -230,13 +230,13 @@ def _checked(t: _Words, rows_in: Sequence[Row], rows_out: Sequence[Row]) -> None
         t.field(f"{each}.dims", "ptr", each, BUFFER["dims"])
         for axis in range(3):
             t.word(f"{each}.dim{axis}", "i64", f"{each}.dims", axis)
-    t.put("%outer = add i64 %y0.dim0, 0", "%inner = add i64 %y0.dim1, 0")
+    t.line("%outer = add i64 %y0.dim0, 0", "%inner = add i64 %y0.dim1, 0")
     wanted = []
     for each, table, _, row in named:
         wanted += [f"i64 %{each}.dim1, {1 if row.shared else '%inner'}", f"i64 %{each}.dim2, {row.size}"]
         if table == "args":
-            t.put(f"%{each}.one = icmp eq i64 %{each}.dim0, 1")
-            t.put(f"%{each}.outer = select i1 %{each}.one, i64 %outer, i64 %{each}.dim0")
+            t.line(f"%{each}.one = icmp eq i64 %{each}.dim0, 1")
+            t.line(f"%{each}.outer = select i1 %{each}.one, i64 %outer, i64 %{each}.dim0")
         wanted.append(f"i64 %{each}.{'outer' if table == 'args' else 'dim0'}, %outer")
     t.require(*wanted)
 
@@ -244,29 +244,25 @@ def _checked(t: _Words, rows_in: Sequence[Row], rows_out: Sequence[Row]) -> None
 def _described(t: _Words) -> None:
     """XLA asks for the version when a handler is registered, by an extension of the frame, and calls it at every stage."""
     t.field("extension", "ptr", "frame", FRAME["extension"])
-    t.put("%plain = icmp eq ptr %extension, null", "br i1 %plain, label %call, label %extended")
+    t.line("%plain = icmp eq ptr %extension, null", "br i1 %plain, label %call, label %extended")
     t.start("extended")
     t.field("kind", "i32", "extension", METADATA["kind"])
-    t.put("%asks = icmp eq i32 %kind, 1", "br i1 %asks, label %describe, label %call")
+    t.line("%asks = icmp eq i32 %kind, 1", "br i1 %asks, label %describe, label %call")
     t.start("describe")
     t.field("metadata", "ptr", "extension", METADATA["metadata"])
     for part, number in zip(("major", "minor"), VERSION, strict=True):
-        t.put(f"%{part} = getelementptr i8, ptr %metadata, i64 {METADATA[part]}", f"store i32 {number}, ptr %{part}")
-    t.put("ret ptr null")
+        t.line(f"%{part} = getelementptr i8, ptr %metadata, i64 {METADATA[part]}", f"store i32 {number}, ptr %{part}")
+    t.line("ret ptr null")
     t.start("call")
     t.field("stage", "i32", "frame", FRAME["stage"])
-    t.put(f"%execute = icmp eq i32 %stage, {EXECUTE}", "br i1 %execute, label %go, label %nothing")
+    t.line(f"%execute = icmp eq i32 %stage, {EXECUTE}", "br i1 %execute, label %go, label %nothing")
     t.start("nothing")
-    t.put("ret ptr null")
+    t.line("ret ptr null")
     t.start("go")
 
 
 class _Words(Lines):
     """Lines that read and write structures by offsets and words by numbers."""
-
-    def put(self, *lines: str) -> None:
-        for line in lines:
-            self.line(line)
 
     def word(self, name: str, kind: str, base: str, number: int) -> None:
         """`%name`, read from the word of that number."""
@@ -274,12 +270,12 @@ class _Words(Lines):
 
     def field(self, name: str, kind: str, base: str, offset: int) -> None:
         """`%name`, read from so many bytes on."""
-        self.put(f"%{name}.at = getelementptr i8, ptr %{base}, i64 {offset}", f"%{name} = load {kind}, ptr %{name}.at")
+        self.line(f"%{name}.at = getelementptr i8, ptr %{base}, i64 {offset}", f"%{name} = load {kind}, ptr %{name}.at")
 
     def keep(self, kind: str, value: str, base: str, number: int) -> None:
         """Writes a word."""
         place = self.assign(f"getelementptr i64, ptr %{base}, i64 {number}")
-        self.put(f"store {kind} {value}, ptr {place}")
+        self.line(f"store {kind} {value}, ptr {place}")
 
     def require(self, *equal: str) -> None:
         """Goes to `other` where one of these pairs is not."""

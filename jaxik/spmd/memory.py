@@ -1,14 +1,71 @@
-"""Loads and stores: operands and tables that lanes share, rows of their own, and scratch, which lies as vectors, a lane beside
-the other."""
+"""Values under names, and where they lie in memory: operands and tables that lanes share, rows of their own, and scratch, which
+lies as vectors, a lane beside the other.
+
+Rows of a batch are columns of vectors here: read and written as they lie, and transposed in registers, a few columns at a time:
+the same entries of `width` rows are as many short loads, joined to whole vectors, whose square blocks are then transposed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from jaxik.spmd import rows
-from jaxik.spmd.program import Load, Memory, Store
-from jaxik.spmd.text import BYTES, mangled, stored
-from jaxik.spmd.values import Values
+from jaxik.spmd.liveness import Liveness
+from jaxik.spmd.program import Branch, Load, Loop, Memory, Program, Store, Whole
+from jaxik.spmd.text import BYTES, Text, mangled, stored
+
+
+class Values:
+    """The values of a program under names: one that all lanes share is a scalar, and where a vector is asked for a vector of
+    it. Writes to `text`; what is needed, and what varies, says `live`."""
+
+    def __init__(self, program: Program, live: Liveness, text: Text):
+        self.program, self.live, self.text = program, live, text
+        self._broadcast = self._asked_as_vectors()
+
+    def kind(self, v: int) -> str:
+        return self.program.ops[v].type
+
+    def is_wide(self, v: int) -> bool:
+        return v in self.live.varying
+
+    def shape(self, v: int) -> str:
+        return self.text.shape(self.kind(v), self.is_wide(v))
+
+    def name(self, v: int, wide: bool) -> str:
+        """The value as an operand of an operation on vectors, or on scalars."""
+        if v in self.program.constant:
+            return self.text.constant(self.program.constant[v], self.kind(v), wide)
+        return f"%s{v}" if wide and not self.is_wide(v) else f"%v{v}"
+
+    def define(self, v: int, text: str) -> None:
+        self.text.line(f"%v{v} = {text}")
+        self.broadcast(v)
+
+    def broadcast(self, v: int) -> None:
+        """A vector of a scalar that has a name now, if one is asked for."""
+        if v in self._broadcast and not self.is_wide(v):
+            self.text.broadcast(f"%v{v}", self.kind(v), f"%s{v}")
+
+    def _asked_as_vectors(self) -> set[int]:
+        found: set[int] = set()
+        for v in self.live.needed:
+            found |= self._asks(v)
+        return found.union(*(row for row in self.program.outputs if not isinstance(row, Whole)))
+
+    def _asks(self, v: int) -> set[int]:
+        """Returns the operands that an operation takes as vectors."""
+        code, _, args = self.program.ops[v]
+        if isinstance(args, Loop):
+            carried = zip(args.init, args.params, args.results, strict=True)
+            return {x for first, p, again in carried if self.is_wide(p) for x in (first, again)}
+        if isinstance(args, Branch):
+            pairs = zip(args.yes_values, args.no_values, strict=True)
+            return {x for pair in pairs if self.is_wide(v) or any(map(self.is_wide, pair)) for x in pair}
+        if isinstance(args, Store):
+            return {args.value} | ({args.at} if args.at is not None and self.is_wide(args.at) else set())
+        if isinstance(args, Load):  # a lane's own row at an index that all lanes agree on
+            return {args.at} if self.live.is_own(args) and args.at is not None else set()
+        return set(args) if code not in ("const", "param", "result") and self.is_wide(v) else set()
 
 
 class Accesses:
@@ -43,12 +100,12 @@ class Accesses:
 
     def _column(self, memory: Memory, number: int) -> str:
         """An entry of the lanes' own rows; read with its neighbours, once."""
-        count = rows.together(memory.size, self.text.width)
+        count = together(memory.size, self.text.width)
         first = min(number - number % count, memory.size - count)
         place = memory.number, first
         if place not in self._columns:
             with self.text.into(self.entry):
-                self._columns[place] = rows.read(self.text, _base(memory), memory.size, first, stored(memory.type))
+                self._columns[place] = _read(self.text, _base(memory), memory.size, first, stored(memory.type))
         return self._columns[place][number - first]
 
     def _address(self, access: Load | Store, shape: str) -> str:
@@ -88,3 +145,70 @@ class Accesses:
 
 def _base(memory: Memory) -> str:
     return {"operand": "%in", "constant": "@table", "scratch": "%scratch"}[memory.kind] + str(memory.number)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Rows
+
+
+def together(size: int, width: int) -> int:
+    """How many columns of a row of `size` are transposed together: 1, 2 or 4, and no more than there are lanes."""
+    return {1: 1, 2: 2, 3: 2}.get(min(size, width), 4)
+
+
+def starts(size: int, width: int) -> list[int]:
+    """Where such blocks of columns start; the last may repeat a few of the one before."""
+    count = together(size, width)
+    return sorted({min(s, size - count) for s in range(0, size, count)}) if size else []
+
+
+def _read(t: Text, base: str, size: int, first: int, kind: str) -> list[str]:
+    """A block of columns, from `first` on, of rows of `size` at `base`."""
+    n, count = t.width, together(size, t.width)
+    if size == 1:
+        return [t.assign(f"load <{n} x {kind}>, ptr {base}, align {BYTES[kind]}")]
+    rows = []
+    for lane in range(n):
+        place = t.assign(f"getelementptr {kind}, ptr {base}, i64 {lane * size + first}")
+        rows.append(t.assign(f"load <{count} x {kind}>, ptr {place}, align {BYTES[kind]}"))
+    return _transposed(t, [_joined(t, rows[j::count], count, kind) for j in range(count)], kind)
+
+
+def write_rows(t: Text, base: str, size: int, first: int, columns: Sequence[str], kind: str) -> None:
+    """A block of columns, from `first` on, into rows of `size` at `base`."""
+    n, count = t.width, len(columns)
+    if size == 1:
+        t.line(f"store <{n} x {kind}> {columns[0]}, ptr {base}, align {BYTES[kind]}")
+        return
+    for j, joined in enumerate(_transposed(t, columns, kind)):
+        for g in range(n // count):
+            part = range(g * count, (g + 1) * count)
+            row = t.shuffle(joined, "poison", n, kind, part) if n > count else joined
+            place = t.assign(f"getelementptr {kind}, ptr {base}, i64 {(g * count + j) * size + first}")
+            t.line(f"store <{count} x {kind}> {row}, ptr {place}, align {BYTES[kind]}")
+
+
+def _joined(t: Text, parts: list[str], size: int, kind: str) -> str:
+    """Vectors of `size` side by side."""
+    while len(parts) > 1:
+        pairs = zip(parts[::2], parts[1::2], strict=True)
+        parts = [t.shuffle(a, b, size, kind, range(2 * size)) for a, b in pairs]
+        size *= 2
+    return parts[0]
+
+
+def _transposed(t: Text, v: Sequence[str], kind: str) -> list[str]:
+    """Two or four vectors, each square block of them transposed: from joined rows to columns, or back."""
+    n, count = t.width, len(v)
+
+    def pick(a: str, b: str, pattern: Sequence[int]) -> str:
+        """Picks the entries of that pattern in each block, of a and then of b."""
+        places = [[g + k if k < count else n + g + k - count for k in pattern] for g in range(0, n, count)]
+        return t.shuffle(a, b, n, kind, [x for block in places for x in block])
+
+    if count == 2:
+        return [pick(v[0], v[1], (0, 2)), pick(v[0], v[1], (1, 3))]
+    a, b = pick(v[0], v[1], (0, 4, 1, 5)), pick(v[0], v[1], (2, 6, 3, 7))
+    c, d = pick(v[2], v[3], (0, 4, 1, 5)), pick(v[2], v[3], (2, 6, 3, 7))
+    low, high = (0, 1, 4, 5), (2, 3, 6, 7)
+    return [pick(a, c, low), pick(a, c, high), pick(b, d, low), pick(b, d, high)]

@@ -17,7 +17,7 @@ from jax.interpreters import ad, batching, mlir
 
 from jaxik.spmd import call
 from jaxik.spmd.scalarise import RULES, Array, Scalariser, Unsupported, type_of
-from jaxik.spmd.trace import Traced, is_float, is_smooth, on_one_device
+from jaxik.spmd.trace import Traced, is_float, is_smooth, on_one_device, replaced
 
 Masks = tuple[tuple[bool, ...], ...]  # for each operand, which axes of the batch it has
 
@@ -101,13 +101,7 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, bat
     count = len(traced.outputs)
     derivative = _dense(traced, active) if active else None
     if active and derivative is None:
-
-        def changing(*xs: Any) -> list[Any]:
-            args = list(primals)
-            for i, x in zip(active, xs, strict=True):
-                args[i] = x
-            return _by_xla(*args, traced=traced, batch=batch, masks=masks)
-
+        changing = lambda *xs: _by_xla(*replaced(primals, active, xs), traced=traced, batch=batch, masks=masks)
         return jax.jvp(changing, [primals[i] for i in active], [tangents[i] for i in active])
     found = bind(derivative or traced, primals, batch, masks)
     outs, slopes = found[:count], found[count:]
@@ -150,18 +144,9 @@ def _dense(traced: Traced, active: tuple[int, ...]) -> Traced | None:
 def _transposed(cotangents: Sequence[Any], *args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
     """The way back of a kernel that is linear in those arguments that are not known, by JAX's own rules."""
     unknown = [i for i, x in enumerate(args) if ad.is_undefined_primal(x)]
-
-    def linear(*xs: Any) -> list[Any]:
-        whole = list(args)
-        for i, x in zip(unknown, xs, strict=True):
-            whole[i] = x
-        return _by_xla(*whole, traced=traced, batch=batch, masks=masks)
-
+    linear = lambda *xs: _by_xla(*replaced(args, unknown, xs), traced=traced, batch=batch, masks=masks)
     found = jax.linear_transpose(linear, *(args[i].aval for i in unknown))(list(map(ad.instantiate_zeros, cotangents)))
-    given: list[Any] = [None] * len(args)
-    for i, x in zip(unknown, found, strict=True):
-        given[i] = x
-    return given
+    return replaced([None] * len(args), unknown, found)
 
 
 ad.primitive_transposes[kernel_p] = _transposed
@@ -205,19 +190,16 @@ def _by_xla(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) ->
 
 
 def _on_cpu(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
-    outputs, lanes = traced.outputs, math.prod(batch)
-    if not lanes or not outputs:
+    outputs = traced.outputs
+    sizes = [math.prod(a.shape) for a in outputs]
+    if not math.prod(batch) or not any(sizes):
         return [jnp.zeros((*batch, *a.shape), a.dtype) for a in outputs]
     grid, operands, shared = _grid(args, traced, batch, masks)
-    empty = [int(np.prod(a.shape)) == 0 for a in outputs]
-    if all(empty):
-        return [jnp.zeros((*batch, *a.shape), a.dtype) for a in outputs]
     try:
         name = call.made(traced, shared).name
     except Unsupported as error:
         warn(traced, str(error))
         return _by_xla(*args, traced=traced, batch=batch, masks=masks)
-    sizes = [int(np.prod(a.shape)) for a in outputs]
     shapes = [jax.ShapeDtypeStruct((*grid, n), a.dtype) for a, n in zip(outputs, sizes, strict=True)]
     rows = _side_by_side(traced.order, grid, operands) if traced.order is not None else None
     if rows is None:

@@ -10,6 +10,7 @@ does where a selection says 0, which masks what a singular slope would make of i
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -177,19 +178,17 @@ class Program:
                 return self.number(_EVALUATE[code](*(self.constant[a] for a in ordered)), type)
         return self.place(Op(code, type, ordered), ordered)
 
-    def _known(self, op: Op) -> int | None:
-        """The value of an operation that an open block has."""
-        return next((block.known[op] for block in self.blocks if op in block.known), None)
+    def _known(self, op: Op, first: int = 0) -> int | None:
+        """The value of an operation that an open block has, from the `first` of them on."""
+        return next((block.known[op] for block in self.blocks[first:] if op in block.known), None)
 
     def place(self, op: Op, needs: Sequence[int]) -> int:
         """The operation in the outermost block that knows what it `needs`; one that is there already is taken."""
         natural = max((self.depth[a] for a in needs), default=0)
-        last = len(self.blocks) - 1
-        for level in range(natural, last + 1):
-            known = self.blocks[level].known.get(op)
-            if known is not None:
-                return known
-        level = last
+        known = self._known(op, natural)
+        if known is not None:
+            return known
+        level = len(self.blocks) - 1
         while level > natural and self.blocks[level].hoists:
             level -= 1
         value = self.append(op, level)
@@ -285,12 +284,9 @@ class Program:
 # --------------------------------------------------------------------------------------------------------------------
 # Folding
 
-_WRAP = {"add": np.add, "sub": np.subtract, "mul": np.multiply}
-_COMPARE = {"eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal}
 _EVALUATE: dict[str, Callable[..., Any]] = {
-    **_WRAP,
-    **_COMPARE,
-    "fdiv": np.divide,
+    **{"eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal},
+    **{"add": np.add, "sub": np.subtract, "mul": np.multiply, "fdiv": np.divide},
     "neg": np.negative,
     "abs": np.abs,
     "sqrt": np.sqrt,
@@ -387,19 +383,11 @@ def _select(p: Program, type: str, condition: int, a: int, b: int) -> int | None
     return None
 
 
-def _and(p: Program, type: str, a: int, b: int) -> int | None:
+def _logical(neutral: bool, p: Program, type: str, a: int, b: int) -> int | None:
     for x, other in ((a, b), (b, a)):
         c = p.constant.get(x)
         if c is not None and type == "i1":
-            return other if c else x
-    return a if a == b else None
-
-
-def _or(p: Program, type: str, a: int, b: int) -> int | None:
-    for x, other in ((a, b), (b, a)):
-        c = p.constant.get(x)
-        if c is not None and type == "i1":
-            return x if c else other
+            return other if c == neutral else x
     return a if a == b else None
 
 
@@ -446,8 +434,8 @@ _FOLDS: dict[str, Callable[..., int | None]] = {
     "fdiv": _div,
     "neg": _neg,
     "select": _select,
-    "and": _and,
-    "or": _or,
+    "and": functools.partial(_logical, True),
+    "or": functools.partial(_logical, False),
     "not": _not,
     "convert": _convert,
     "bitcast": _bitcast,

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable, Sequence, Set
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -27,10 +28,19 @@ MOST = 200_000  # operations of a program: beyond, compilers take minutes
 LARGEST = 16_384  # entries of an array whose every entry is a value
 
 
-class Computed(NamedTuple):
-    """An index that is a value, i32, inside its range."""
+@dataclasses.dataclass(frozen=True)
+class Computed:
+    """An index that is a value, i32, plus a `shift`: one `among` so many, each of them inside."""
 
     value: int
+    among: int
+    shift: int = 0
+
+    def __add__(self, more: int) -> Computed:
+        return dataclasses.replace(self, shift=self.shift + more)
+
+
+Index = int | Computed
 
 
 class Unsupported(NotImplementedError):  # noqa: N818 - of functions that are in order, and run elsewhere
@@ -170,30 +180,33 @@ class Scalariser:
             return Whole(memory, array.after)
         return list(self.values(array).ravel().tolist())
 
-    def entry(self, array: Array, place: Sequence[Any]) -> int:
-        """The value at `place`: for each axis an index, or (value, shift, how many there may be) for a computed one, inside."""
-        computed = [axis for axis, i in enumerate(place) if isinstance(i, tuple)]
-        fixed = tuple(i[1] if isinstance(i, tuple) else i for i in place)
+    def entry(self, array: Array, place: Sequence[Index]) -> int:
+        """The value at `place`, an index an axis."""
+        computed = [(axis, i) for axis, i in enumerate(place) if isinstance(i, Computed)]
+        fixed = fixed_part(place)
         if not computed:
             return self.values(array.rearranged(array.at[fixed].reshape(1)))[0].item()
-        count = int(np.prod([place[axis][2] for axis in computed]))
-        if array.memory is None and count > CHOICES:
+        if array.memory is None and math.prod(i.among for _, i in computed) > CHOICES:
             array = self.in_memory(array)
         p = self.program
         if array.memory is not None and array.strides is not None:
-            index = None
-            for axis in computed:
-                step = p.op("mul", "i32", place[axis][0], p.number(array.strides[axis], "i32"))
-                index = step if index is None else p.op("add", "i32", index, step)
-            return p.load(array.memory, int(array.at[fixed]), index, array.after)
-        axis = computed[0]  # one choice after the other
-        value, shift, among = place[axis]
-        pick = lambda k: self.entry(array, [*place[:axis], shift + k, *place[axis + 1 :]])
+            return p.load(array.memory, int(array.at[fixed]), self.offset(place, array.strides), array.after)
+        axis, index = computed[0]  # one choice after the other
+        pick = lambda k: self.entry(array, [*place[:axis], index.shift + k, *place[axis + 1 :]])
         found = pick(0)
-        for k in range(1, among):
-            here = p.op("eq", "i1", value, p.number(k, "i32"))
+        for k in range(1, index.among):
+            here = p.op("eq", "i1", index.value, p.number(k, "i32"))
             found = p.op("select", array.type, here, pick(k), found)
         return found
+
+    def offset(self, place: Sequence[Index], strides: Sequence[int]) -> int | None:
+        """What the computed indices of a place add to its address; None where there are none."""
+        p, total = self.program, None
+        for i, stride in zip(place, strides, strict=True):
+            if isinstance(i, Computed):
+                step = p.op("mul", "i32", i.value, p.number(stride, "i32"))
+                total = step if total is None else p.op("add", "i32", total, step)
+        return total
 
     def in_memory(self, array: Array) -> Array:
         """The same array, written to a table or to scratch so that it can be read at computed indices."""
@@ -221,7 +234,7 @@ class Scalariser:
         """An index of a type that holds any axis' length."""
         return self.program.op("convert", "i32", value) if DTYPES[self.program.ops[value].type].itemsize < 4 else value
 
-    def clamped(self, value: int, last: int) -> int | Computed:
+    def clamped(self, value: int, last: int) -> Index:
         """A start index kept in [0, last]: a number if it is known."""
         p, value = self.program, self.index(value)
         known = p.constant.get(value)
@@ -231,14 +244,14 @@ class Scalariser:
         if last == 0:
             return 0
         low = value if kind[0] == "u" else p.op("max", kind, value, p.number(0, kind))
-        return Computed(p.op("convert", "i32", p.op("min", kind, low, p.number(last, kind))))
+        return Computed(p.op("convert", "i32", p.op("min", kind, low, p.number(last, kind))), last + 1)
 
     def corner(
         self, x: Array, axes: Sequence[int], sizes: Sequence[int], starts: Sequence[int], checked: bool
-    ) -> tuple[list[Any], int | None]:
+    ) -> tuple[list[Index], int | None]:
         """Where a window of `sizes` begins that `starts` along `axes`, moved inside; if `checked`, whether it was inside."""
         p, inside = self.program, []
-        at: list[Any] = [0] * len(sizes)
+        at: list[Index] = [0] * len(sizes)
         for axis, value in zip(axes, starts, strict=True):
             value, last = self.index(value), x.shape[axis] - sizes[axis]
             at[axis] = self.clamped(value, last)
@@ -247,21 +260,14 @@ class Scalariser:
                 inside += [p.op("ge", "i1", value, p.number(0, kind)), p.op("le", "i1", value, p.number(last, kind))]
         return at, self.fold("and", "i1", inside) if inside else None
 
-    def window(self, array: Array, starts: Sequence[Any], sizes: Sequence[int]) -> Array:
+    def window(self, array: Array, starts: Sequence[Index], sizes: Sequence[int]) -> Array:
         """A slice of `sizes` from `starts`."""
         static = tuple(slice(s, s + n) if isinstance(s, int) else slice(None) for s, n in zip(starts, sizes, strict=True))
         array = array.rearranged(array.at[static])
         if all(isinstance(s, int) for s in starts):
             return array
-        among = [
-            1 if isinstance(s, int) else array.shape[k] - n + 1 for k, (s, n) in enumerate(zip(starts, sizes, strict=True))
-        ]
-        at = [
-            self.entry(
-                array, [i if isinstance(s, int) else (s.value, i, m) for s, i, m in zip(starts, place, among, strict=True)]
-            )
-            for place in np.ndindex(*sizes)
-        ]
+        first = [0 if isinstance(s, int) else s for s in starts]
+        at = [self.entry(array, [s + i for s, i in zip(first, place, strict=True)]) for place in np.ndindex(*sizes)]
         return Array(np.array(at, np.int64).reshape(sizes), array.type)
 
     def map(self, code: str, kind: str, *arrays: Array) -> Array:
@@ -294,6 +300,11 @@ def rule(*names: str) -> Callable[[Rule], Rule]:
         return function
 
     return register
+
+
+def fixed_part(place: Sequence[Index]) -> tuple[int, ...]:
+    """The indices of a place without the values of computed ones."""
+    return tuple(i.shift if isinstance(i, Computed) else i for i in place)
 
 
 def kind_of(eqn: Any) -> str:

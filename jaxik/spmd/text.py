@@ -73,8 +73,8 @@ class Lines:
         self.block = "entry"
         self._names = 0
 
-    def line(self, text: str) -> None:
-        self.lines.append("  " + text)
+    def line(self, *texts: str) -> None:
+        self.lines += ["  " + text for text in texts]
 
     def assign(self, text: str) -> str:
         name = self.fresh()

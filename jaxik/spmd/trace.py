@@ -6,7 +6,7 @@ import enum
 import functools
 import hashlib
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
-from jaxik.spmd.linearity import custom, is_linear
+from jaxik.spmd.tangents import custom, is_linear
 
 _OPERAND = 512  # entries of an array that is closed over, from which it is an operand: another table compiles nothing
 _FUNCTIONS = ("jvp_jaxpr_fun", "fwd_jaxpr_thunk", "bwd", "fwd", "out_trees", "transpose_rules", "rule", "in_tree", "out_tree")
@@ -106,6 +106,14 @@ def is_smooth(aval: Any) -> bool:
     return bool(jnp.issubdtype(aval.dtype, jnp.inexact))
 
 
+def replaced(values: Sequence[Any], places: Sequence[int], others: Iterable[Any]) -> list[Any]:
+    """The values, but for `others` at some places."""
+    found = list(values)
+    for i, x in zip(places, others, strict=True):
+        found[i] = x
+    return found
+
+
 def _derivative(closed: ClosedJaxpr, active: tuple[int, ...]) -> tuple[ClosedJaxpr, int]:
     """Forward, a column an input, or backward, a row an output: whichever are fewer; and how many of its last constants are
     the unit vectors of the fewer."""
@@ -116,10 +124,7 @@ def _derivative(closed: ClosedJaxpr, active: tuple[int, ...]) -> tuple[ClosedJax
 
     def of(args: Sequence[Any]) -> tuple[Callable[..., Any], list[Any]]:
         def function(*some: Any) -> Any:
-            whole = list(args)
-            for i, x in zip(active, some, strict=True):
-                whole[i] = x
-            outs = run(*whole)
+            outs = run(*replaced(args, active, some))
             return [outs[i] for i in smooth], outs
 
         return function, [args[i] for i in active]

@@ -26,8 +26,8 @@ class Counter(Stepped):
 def test_a_loop_steps_and_compiles_once(monkeypatch):
     compiled = []
     monkeypatch.setattr(control_loop, "_by_xla", None)
-    repeated = control_loop.repeated
-    monkeypatch.setattr(control_loop, "repeated", lambda *given: compiled.append(1) or repeated(*given))
+    packed_step = control_loop.PackedStep
+    monkeypatch.setattr(control_loop, "PackedStep", lambda *given: compiled.append(1) or packed_step(*given))
     loop = ControlLoop(Counter())
     for _ in range(2):
         state = loop.start(np.zeros((2, 3)))

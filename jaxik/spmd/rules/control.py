@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr
+from jax.extend.core import Jaxpr
 
 from jaxik.spmd.scalarise import (
     FLAT,
@@ -22,29 +22,15 @@ from jaxik.spmd.scalarise import (
     type_of,
     unflattened,
 )
-from jaxik.spmd.tangents import bodies
+from jaxik.spmd.tangents import bodies, called
 
 
-@rule(
-    "jit",
-    "pjit",
-    "closed_call",
-    "core_call",
-    "custom_jvp_call",
-    "custom_vjp_call",
-    "custom_vjp_call_jaxpr",
-    "checkpoint",
-    "remat",
-    "remat2",
-    "custom_vmap_call",
-    "custom_lin",
-    "run_state",
-)
+@rule("jit", "closed_call", "custom_jvp_call", "custom_vjp_call", "remat2", "custom_vmap_call", "custom_lin", "run_state")
 def _call(s: Scalariser, eqn: Any, *xs: Array) -> list[Array]:
-    for name in ("jaxpr", "call_jaxpr", "fun_jaxpr", "call"):
-        if isinstance(eqn.params.get(name), ClosedJaxpr | Jaxpr):
-            return s.closed(eqn.params[name], xs)
-    raise Unsupported(f"the primitive '{eqn.primitive.name}'")
+    inner = called(eqn)
+    if inner is None:
+        raise Unsupported(f"the primitive '{eqn.primitive.name}'")
+    return s.closed(inner, xs)
 
 
 @rule("platform_index")
@@ -172,7 +158,7 @@ def _scan(s: Scalariser, eqn: Any, *args: Array) -> list[Array]:
         i, *now = flat
         if params["reverse"]:
             i = p.op("sub", "i32", p.number(length - 1, "i32"), i)
-        rows = [s.window(x, [Computed(i), *[0] * (len(x.shape) - 1)], [1, *x.shape[1:]]) for x in xs]
+        rows = [s.window(x, [Computed(i, length), *[0] * (len(x.shape) - 1)], [1, *x.shape[1:]]) for x in xs]
         rows = [r.rearranged(r.at[0]) for r in rows]
         found = s.closed(body, [*consts, *carried.arrays(now), *rows])
         for room, y in zip(rooms, found[m:], strict=True):

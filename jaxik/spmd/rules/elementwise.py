@@ -11,9 +11,9 @@ from jaxik.spmd import elementary
 from jaxik.spmd.program import DTYPES, FLOATS, limits
 from jaxik.spmd.scalarise import RULES, Array, Rule, Scalariser, Unsupported, kind_of, rule, unflattened
 
-_SAME = {"add": "add", "add_any": "add", "sub": "sub", "mul": "mul", "neg": "neg", "abs": "abs", "max": "max", "min": "min"}
-_SAME |= {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "and": "and", "or": "or", "xor": "xor", "not": "not"}
-_SAME |= {name: name for name in ("eq", "ne", "lt", "le", "gt", "ge")}
+_SAME = {name: name for name in ("add", "sub", "mul", "neg", "abs", "max", "min", "sqrt", "floor", "ceil")}
+_SAME |= {name: name for name in ("and", "or", "xor", "not", "eq", "ne", "lt", "le", "gt", "ge")}
+_SAME |= {"add_any": "add", "shift_left": "shl", "shift_right_logical": "lshr", "shift_right_arithmetic": "ashr"}
 for _name, _code in _SAME.items():
     RULES[_name] = lambda s, eqn, *xs, code=_code: s.map(code, kind_of(eqn), *xs)
 
@@ -34,7 +34,7 @@ def _rank(s: Scalariser, x: Array) -> Array:
     return s.map("select", kind, s.map("lt", "i1", bits, s.full((), 0, kind)), turned, bits)
 
 
-@rule("copy", "copy_p", "stop_gradient", "reduce_precision")
+@rule("copy", "stop_gradient", "reduce_precision")
 def _copy(s: Scalariser, eqn: Any, x: Array) -> Array:
     if eqn.primitive.name == "reduce_precision":
         full = np.finfo(eqn.outvars[0].aval.dtype)
@@ -48,26 +48,10 @@ def _barrier(s: Scalariser, eqn: Any, *xs: Array) -> list[Array]:
     return list(xs)
 
 
-@rule("div")
-def _div(s: Scalariser, eqn: Any, a: Array, b: Array) -> Array:
+@rule("div", "rem")
+def _divided(s: Scalariser, eqn: Any, a: Array, b: Array) -> Array:
     kind = kind_of(eqn)
-    return s.map("fdiv" if kind in FLOATS else "idiv", kind, a, b)
-
-
-@rule("rem")
-def _rem(s: Scalariser, eqn: Any, a: Array, b: Array) -> Array:
-    kind = kind_of(eqn)
-    return s.map("frem" if kind in FLOATS else "irem", kind, a, b)
-
-
-@rule("shift_left", "shift_right_logical", "shift_right_arithmetic")
-def _shift(s: Scalariser, eqn: Any, a: Array, b: Array) -> Array:
-    return s.map(
-        {"shift_left": "shl", "shift_right_logical": "lshr", "shift_right_arithmetic": "ashr"}[eqn.primitive.name],
-        kind_of(eqn),
-        a,
-        b,
-    )
+    return s.map(("f" if kind in FLOATS else "i") + eqn.primitive.name, kind, a, b)
 
 
 @rule("sign")

@@ -10,17 +10,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxik.spmd.scalarise import CHOICES, Array, Computed, Scalariser, kind_of, rule
+from jaxik.spmd.program import DTYPES, FLOATS, limits
+from jaxik.spmd.scalarise import CHOICES, Array, Computed, Scalariser, fixed_part, kind_of, rule
 
 
-@rule("reshape")
+@rule("reshape", "squeeze")
 def _reshape(s: Scalariser, eqn: Any, x: Array) -> Array:
     return x.rearranged(x.at.reshape(eqn.outvars[0].aval.shape))
-
-
-@rule("squeeze", "expand_dims")
-def _squeeze(s: Scalariser, eqn: Any, x: Array) -> Array:
-    return _reshape(s, eqn, x)
 
 
 @rule("broadcast_in_dim")
@@ -123,24 +119,25 @@ def _dynamic_update_slice(s: Scalariser, eqn: Any, x: Array, update: Array, *sta
     new = s.values(update)
     spots = []
     for place in np.ndindex(*new.shape):
-        spot = [f + i if isinstance(f, int) else (f.value, i) for f, i in zip(first, place, strict=True)]
-        spots.append((spot, None, int(new[place])))
+        spots.append(([f + i for f, i in zip(first, place, strict=True)], None, int(new[place])))
     return _updated(s, x, spots, lambda before, value: value)
 
 
 def _updated(s: Scalariser, x: Array, spots: Sequence[Any], join: Callable[[int, int], int]) -> Array:
-    """x with values joined in. A spot is, for each axis, an index or (value, shift), which is inside; the condition under which
-    it is there at all, or None; and the value. Few places are chosen among by selections, many written to scratch."""
+    """x with values joined in. A spot is an index an axis; the condition under which it is there at all, or None; and the
+    value. Few places are chosen among by selections, many written to scratch."""
     p, old = s.program, s.values(x).copy()
-    choices = lambda spot: [range(i[1], n) if isinstance(i, tuple) else (i,) for i, n in zip(spot, old.shape, strict=True)]
+    choices = lambda spot: [
+        range(i.shift, n) if isinstance(i, Computed) else (i,) for i, n in zip(spot, old.shape, strict=True)
+    ]
     if sum(int(np.prod([len(c) for c in choices(spot)])) for spot, *_ in spots) > max(CHOICES * CHOICES, old.size):
         return _written(s, x, spots, join)
     for spot, holds, value in spots:
         for target in itertools.product(*choices(spot)):
             tests = [] if holds is None else [holds]
             for i, k in zip(spot, target, strict=True):
-                if isinstance(i, tuple):
-                    tests.append(p.op("eq", "i1", i[0], p.number(k - i[1], "i32")))
+                if isinstance(i, Computed):
+                    tests.append(p.op("eq", "i1", i.value, p.number(k - i.shift, "i32")))
             new = join(int(old[target]), value)
             old[target] = p.op("select", x.type, s.fold("and", "i1", tests), new, int(old[target])) if tests else new
     return Array(old, x.type)
@@ -153,12 +150,7 @@ def _written(s: Scalariser, x: Array, spots: Sequence[Any], join: Callable[[int,
     for i, v in enumerate(s.values(x).ravel().tolist()):
         after = p.store(memory, i, None, v)
     for spot, holds, value in spots:
-        offset, index = 0, None
-        for i, step in zip(spot, strides, strict=True):
-            offset += step * (i[1] if isinstance(i, tuple) else i)
-            if isinstance(i, tuple):
-                term = p.op("mul", "i32", i[0], p.number(step, "i32"))
-                index = term if index is None else p.op("add", "i32", index, term)
+        offset, index = int(np.dot(fixed_part(spot), strides)), s.offset(spot, strides)
         before = p.load(memory, offset, index, after)
         new = join(before, value)
         new = new if holds is None else p.op("select", x.type, holds, new, before)
@@ -173,22 +165,10 @@ def _gather(s: Scalariser, eqn: Any, x: Array, indices: Array) -> Array:
     starts = s.values(indices)
     batch_axes = [k for k in range(len(shape)) if k not in d.offset_dims]
     kept = [k for k in range(len(sizes)) if k not in d.collapsed_slice_dims and k not in d.operand_batching_dims]
-    fill = mode == jax.lax.GatherScatterMode.FILL_OR_DROP
-    missing = None
-    if fill:
-        value = params["fill_value"]
-        dtype = np.dtype(eqn.outvars[0].aval.dtype)
-        if value is None:
-            value = (
-                np.nan
-                if dtype.kind == "f"
-                else np.iinfo(dtype).min
-                if dtype.kind == "i"
-                else np.iinfo(dtype).max
-                if dtype.kind == "u"
-                else True
-            )
-        missing = p.number(value, x.type)
+    fill, value = mode == jax.lax.GatherScatterMode.FILL_OR_DROP, params["fill_value"]
+    if value is None:  # as JAX has it: NaN, the smallest integer, the largest without a sign
+        value = np.nan if x.type in FLOATS else limits(DTYPES[x.type])[x.type[0] == "u" or x.type == "i1"]
+    missing = p.number(value, x.type) if fill else None
     out = np.empty(shape, np.int64)
     cache: dict[Any, Any] = {}
     for place in np.ndindex(*shape):
@@ -202,32 +182,17 @@ def _gather(s: Scalariser, eqn: Any, x: Array, indices: Array) -> Array:
         offset = [0] * len(sizes)
         for k, axis in zip(d.offset_dims, kept, strict=True):
             offset[axis] = place[k]
-        where = [
-            f + o if isinstance(f, int) else (f.value, o, x.shape[axis] - sizes[axis] + 1)
-            for axis, (f, o) in enumerate(zip(start, offset, strict=True))
-        ]
-        out[place] = s.entry(x, where)
+        out[place] = s.entry(x, [f + o for f, o in zip(start, offset, strict=True)])
         if missing is not None and holds is not None:
             out[place] = p.op("select", x.type, holds, int(out[place]), missing)
     return Array(out, x.type)
 
 
-@rule(
-    "scatter",
-    "scatter-add",
-    "scatter_add",
-    "scatter-sub",
-    "scatter-mul",
-    "scatter_mul",
-    "scatter-min",
-    "scatter_min",
-    "scatter-max",
-    "scatter_max",
-)
+@rule("scatter", "scatter-add", "scatter-sub", "scatter-mul", "scatter-min", "scatter-max")
 def _scatter(s: Scalariser, eqn: Any, x: Array, indices: Array, updates: Array) -> Array:
     params, p = eqn.params, s.program
     d, mode = params["dimension_numbers"], params["mode"]
-    code, update = eqn.primitive.name.replace("_", "-").partition("-")[2], params["update_jaxpr"]
+    code, update = eqn.primitive.name.partition("-")[2], params["update_jaxpr"]
     if code:
         join = lambda before, value: p.op(code, x.type, before, value)
     elif update is not None:  # a function of what was there
@@ -251,7 +216,6 @@ def _scatter(s: Scalariser, eqn: Any, x: Array, indices: Array, updates: Array) 
         known = p.constant.get(holds) if holds is not None else True
         if known is None or known:
             for k, axis in zip(d.update_window_dims, kept, strict=True):
-                at[axis] = at[axis] + place[k] if isinstance(at[axis], int) else (at[axis].value, place[k])
-            spot = [(i.value, 0) if isinstance(i, Computed) else i for i in at]
-            spots.append((spot, holds if known is None else None, int(new[place])))
+                at[axis] += place[k]
+            spots.append((at, holds if known is None else None, int(new[place])))
     return _updated(s, x, spots, join)
