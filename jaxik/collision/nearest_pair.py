@@ -35,11 +35,10 @@ FEW = 16  # points of a robot, up to which they are moved without a loop
 
 
 class Placed(NamedTuple):
-    """Volumes of one corner count in the world: their leaves' spheres, centres and radii, and their corners, as columns."""
+    """Volumes of one corner count in the world, as columns: their leaves' spheres, and they themselves, corners and radii."""
 
     leaves: tuple[Vec3, Any]
-    corners: tuple[Vec3, ...]
-    radius: Any
+    volumes: tuple[tuple[Vec3, ...], Any]
 
 
 class Others(NamedTuple):
@@ -70,22 +69,24 @@ class Space:
         self.parts, self.placed = _placed(self.trees, self.frames, q.dtype)
         sizes = [len(v.radius) for v in self.trees.kinds]
         self.first = np.cumsum([0, *sizes]).tolist()  # of the volumes of each kind, in one numbering
-        others: list[tuple[Any, Gap, Any, int, bool]] = []
+        self.others: list[Others] = []
+        self.rows = 0  # of all others; the numbers of tables come after them
         for o in self.obstacles:
             gap, columns = obstacles_of(o.kind, o.rows, q.dtype)
             size = count_of(columns) // len(o.leaves.radius)
-            others.append((columns, gap, as_columns(o.leaves, q.dtype), size, o.kind == "points"))
+            self._put(columns, gap, as_columns(o.leaves, q.dtype), size, o.kind == "points")
         for v, p in zip(self.trees.kinds, self.placed, strict=True):
-            others.append(((p.corners, p.radius), skeleton_gap, p.leaves, v.size, v.even and v.arity == 1))
+            self._put(p.volumes, skeleton_gap, p.leaves, v.size, v.even and v.arity == 1)
         self.enough: Any = None  # a distance [m] that ends the search
         self.solid = [k for k, o in enumerate(self.obstacles) if o.bodies is not None]
-        self.inner = len(others)  # the first of those that are the same triangles, seen from inside
-        others += [(others[k][0], depth_gap, *others[k][2:]) for k in self.solid]
-        # those of tables come after them
-        *origins, self.rows = itertools.accumulate((count_of(columns) for columns, *_ in others), initial=0)
-        self.others = [Others(*each, origin) for each, origin in zip(others, origins, strict=True)]
-        count = self.rows + len(self.trees.tables.size)
-        self.own = self._own_shape(around, count)
+        self.inner = len(self.others)  # the first of those that are the same triangles, seen from inside
+        for k in self.solid:
+            self._put(self.others[k].columns, depth_gap, *self.others[k][2:5])
+        self.own = self._own_shape(around, self.rows + len(self.trees.tables.size))
+
+    def _put(self, columns: Any, *kind: Any) -> None:
+        self.others.append(Others(columns, *kind, origin=self.rows))
+        self.rows += count_of(columns)
 
     def _own_shape(self, around: Grouped, origin: int) -> Exact | Parts | None:
         """The own shape that decides where volumes are near, numbered from `origin` on: surfaces, or else convex parts."""
@@ -109,36 +110,38 @@ class Space:
         found = self._by_own_shape(jnp.int32(0), jnp.int32(len(self.trees.other)), found)
         return lax.fori_loop(jnp.int32(0), count, step, found)
 
+    def mapped(self, count: int, find: Callable[[Any, Found], Found], then: Callable[[Found], Any], tracked: bool) -> Any:
+        """`then` of what `find(i, found)` gives for each number i below `count`, from nothing on, in arrays (count, ...)."""
+        one = lambda _, i: (None, then(find(i, self._start(jnp.inf, tracked))))
+        return lax.scan(one, None, jnp.arange(count, dtype=jnp.int32))[1]
+
     def each(self, then: Callable[[Found], Any], tracked: bool = False) -> Any:
         """`then` of the nearest pair of each part, in arrays with an entry a link, from the base on."""
-        one = lambda _, p: (None, then(self.part(p, self._start(jnp.inf, tracked))))
-        found = lax.scan(one, None, jnp.arange(len(self.trees.links), dtype=jnp.int32))[1]
-        return jax.tree_util.tree_map(lambda x: x[::-1], found)
+        return jax.tree_util.tree_map(lambda x: x[::-1], self.mapped(len(self.trees.links), self.part, then, tracked))
 
     def objects(self, count: int, then: Callable[[Found], Any], tracked: bool = False) -> Any:
         """`then` of the nearest pair of each object, which is branch after branch of the obstacles."""
 
-        def one(_: Any, b: Any) -> Any:
+        def find(b: Any, found: Found) -> Found:
             step, parts = lambda p, found: self._to_object(p, b, found), jnp.int32(len(self.trees.links))
-            return None, then(lax.fori_loop(jnp.int32(0), parts, step, self._start(jnp.inf, tracked)))
+            return lax.fori_loop(jnp.int32(0), parts, step, found)
 
-        return lax.scan(one, None, jnp.arange(count, dtype=jnp.int32))[1]
+        return self.mapped(count, find, then, tracked)
 
     def each_object(self, count: int, then: Callable[[Found], Any]) -> Any:
         """`then` of each part and each object, in arrays (parts * count,)."""
-        one = lambda _, i: (None, then(self._to_object(i // count, i % count, self._start(jnp.inf, True))))
-        return lax.scan(one, None, jnp.arange(len(self.trees.links) * count, dtype=jnp.int32))[1]
+        find = lambda i, found: self._to_object(i // count, i % count, found)
+        return self.mapped(len(self.trees.links) * count, find, then, True)
+
+    def each_pair(self, then: Callable[[Found], Any]) -> Any:
+        """`then` of each pair of parts of a robot with an own shape, in the order of `RobotTrees.other`."""
+        return self.mapped(len(self.trees.other), lambda k, found: self._by_own_shape(k, k + 1, found), then, True)
 
     def _to_object(self, p: Any, b: Any, found: Found) -> Found:
         """Part p against branch b of the obstacles of each kind."""
         for k in range(len(self.obstacles)):
             found = self._to_branches(p, row_at(self.parts, p), k, b, b + 1, found)
         return found
-
-    def each_pair(self, then: Callable[[Found], Any]) -> Any:
-        """`then` of each pair of parts of a robot with an own shape, in the order of `RobotTrees.other`."""
-        one = lambda _, k: (None, then(self._by_own_shape(k, k + 1, self._start(jnp.inf, True))))
-        return lax.scan(one, None, jnp.arange(len(self.trees.other), dtype=jnp.int32))[1]
 
     def part(self, p: Any, found: Found, itself: bool = True) -> Found:
         """The nearest pair of part p, a later one of two parts, or what was `found` if none is nearer."""
@@ -252,7 +255,7 @@ class Space:
 
             def own(i: Any, found: Found, v: Any = (volumes, placed, origin, squares, long)) -> Found:
                 volumes, placed, origin, squares, long = v
-                ball, mine = row_at(placed.leaves, i), rows_from((placed.corners, placed.radius), i, volumes.size)
+                ball, mine = row_at(placed.leaves, i), rows_from(placed.volumes, i, volumes.size)
 
                 def other(j: Any, found: Found) -> Found:
                     theirs = rows_from(others.columns, j, others.size)
@@ -411,7 +414,7 @@ def _placed(trees: RobotTrees, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any
     each = (Vec3(*(x[a:b] for x in columns)) for a, b in cuts)
     ball = lambda balls: (next(each), jnp.asarray(balls.radius, dtype))
     corners = lambda v: tuple(itertools.islice(each, v.arity))
-    return ball(trees.parts), tuple(Placed(ball(v.leaves), corners(v), jnp.asarray(v.radius, dtype)) for v in trees.kinds)
+    return ball(trees.parts), tuple(Placed(ball(v.leaves), (corners(v), jnp.asarray(v.radius, dtype))) for v in trees.kinds)
 
 
 def _pulled(gap: Gap, own: Any, other: Any) -> tuple[Any, tuple[Vec3, ...], Vec3]:

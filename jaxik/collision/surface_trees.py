@@ -51,13 +51,17 @@ def order_of(triangles: np.ndarray) -> np.ndarray:
     count = len(triangles)
     middle, order = (triangles.max(axis=1) + triangles.min(axis=1)) / 2.0, np.arange(count)
     for level in range(_levels(count)):
-        ends, here = _cuts(count, level), middle[order]
-        filled = np.flatnonzero(np.diff(ends))
-        extent = np.maximum.reduceat(here, ends[filled]) - np.minimum.reduceat(here, ends[filled])
-        segment = np.repeat(np.arange(len(filled)), np.diff(ends)[filled])
-        along = here[np.arange(count), extent.argmax(axis=1)[segment]]
-        order = order[np.lexsort((along, segment))]
+        order = across(middle, order, np.unique(_cuts(count, level)))
     return order
+
+
+def across(points: np.ndarray, order: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """An order of points (k, 3) in which each run, from one of the `ends` to the next, is sorted across its longest extent."""
+    here, starts = points[order], ends[:-1]
+    extent = np.maximum.reduceat(here, starts) - np.minimum.reduceat(here, starts)
+    segment = np.repeat(np.arange(len(starts)), np.diff(ends))
+    along = here[np.arange(len(here)), extent.argmax(axis=1)[segment]]
+    return np.asarray(order[np.lexsort((along, segment))])
 
 
 def surface_of(link: int, shapes: Iterable[tuple[np.ndarray, float]]) -> Surface:
