@@ -24,7 +24,16 @@ from jaxik.collision.convex_pairs import Parts
 from jaxik.collision.exact_pairs import Exact
 from jaxik.collision.leaf_rows import Found, as_columns, count_of, entry, nearest_of, row_at, rows_from
 from jaxik.collision.own_shape import OwnParts, OwnSurfaces
-from jaxik.collision.shape_distances import Gap, depth_gap, obstacles_of, skeleton_gap, square_gap, triangle_gap
+from jaxik.collision.shape_distances import (
+    Gap,
+    depth_gap,
+    nearest_points,
+    obstacles_of,
+    pulled,
+    skeleton_gap,
+    square_gap,
+    triangle_gap,
+)
 from jaxik.collision.solids import Solids
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.link_distance_table import interpolated
@@ -309,7 +318,7 @@ class Space:
         """
 
         def pull(gap: Gap, own: Any, other: Any, between: Any) -> Any:
-            corners, (_, slope, force) = own[0], _pulled(gap, own, other)
+            corners, (_, slope, force) = own[0], pulled(gap, own, other)
             moment = functools.reduce(Vec3.__add__, [c.cross(f) for c, f in zip(corners, slope, strict=True)])
             return force, moment, between
 
@@ -334,13 +343,8 @@ class Space:
     def nearest_points(self, found: Found) -> tuple[Any, Any]:
         """Where a pair that was found is nearest: on its own volume (3,), and on the other (3,) [m, world]."""
 
-        def points(gap: Gap, own: Any, other: Any, _: Any) -> Any:
-            (corners, radius), (value, slopes, force) = own, _pulled(gap, own, other)
-            share = lambda slope: jnp.where(force.dot(force) > 0.0, slope.dot(force), 1.0 / len(corners))
-            nearest = functools.reduce(Vec3.__add__, [c * share(f) for c, f in zip(corners, slopes, strict=True)])
-            return nearest - force * radius, nearest - force * (radius + value)
-
         nowhere = Vec3(*[jnp.full((), jnp.nan, self.dtype)] * 3)
+        points = lambda gap, own, other, _: nearest_points(gap, own, other)
         mine, other = self._of_pair(found, points, (nowhere, nowhere))
         return stack(mine, (3,), self.dtype), stack(other, (3,), self.dtype)
 
@@ -415,14 +419,6 @@ def _placed(trees: RobotTrees, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any
     ball = lambda balls: (next(each), jnp.asarray(balls.radius, dtype))
     corners = lambda v: tuple(itertools.islice(each, v.arity))
     return ball(trees.parts), tuple(Placed(ball(v.leaves), (corners(v), jnp.asarray(v.radius, dtype))) for v in trees.kinds)
-
-
-def _pulled(gap: Gap, own: Any, other: Any) -> tuple[Any, tuple[Vec3, ...], Vec3]:
-    """A volume's distance, its slope by each of the volume's corners, and their sum: the force with which it pulls."""
-    corners, radius = own
-    value, back = jax.vjp(lambda corners: gap((corners, radius), other), corners)
-    (slopes,) = back(jnp.ones_like(value))
-    return value, slopes, functools.reduce(Vec3.__add__, slopes)
 
 
 def _if_beside(found: Found, mine: Any, ball: Any, inside: Callable[[Found], Found]) -> Found:

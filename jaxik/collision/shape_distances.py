@@ -9,11 +9,11 @@ from collections.abc import Callable, Mapping
 from functools import reduce
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxik.collision import distance
-from jaxik.collision.volumes import Skeleton
 from jaxik.spatial.algebra import Frame, Vec3
 
 Gap = Callable[[Any, Any], Any]
@@ -73,6 +73,26 @@ def along(skeleton: tuple[Vec3, ...], at: Any) -> Vec3:
     return reduce(Vec3.__add__, [corner * weight for corner, weight in zip(skeleton, weights, strict=True)])
 
 
+def pulled(gap: Gap, own: Any, other: Any) -> tuple[Any, tuple[Vec3, ...], Vec3]:
+    """A volume's distance, its slope by each of the volume's corners, and their sum: the force with which it pulls."""
+    corners, radius = own
+    value, back = jax.vjp(lambda corners: gap((corners, radius), other), corners)
+    (slopes,) = back(jnp.ones_like(value))
+    return value, slopes, reduce(Vec3.__add__, slopes)
+
+
+def nearest_points(gap: Gap, own: Any, other: Any) -> tuple[Vec3, Vec3]:
+    """Where a volume and another are nearest: on the volume, and on the other [m].
+
+    A step f along the shortest way raises the distance by |f|, and corner c of the skeleton carries the share `f_c . f` of it,
+    which is the weight of the corner in the point of the skeleton that is nearest.
+    """
+    (corners, radius), (value, slopes, force) = own, pulled(gap, own, other)
+    share = lambda slope: jnp.where(force.dot(force) > 0.0, slope.dot(force), 1.0 / len(corners))
+    nearest = reduce(Vec3.__add__, [c * share(f) for c, f in zip(corners, slopes, strict=True)])
+    return nearest - force * radius, nearest - force * (radius + value)
+
+
 def obstacles_of(kind: str, rows: Mapping[str, Any], dtype: Any, xp: Any = jnp) -> tuple[Gap, Any]:
     """The gap to an obstacle of a kind, and those that have these `rows`, the fields of the scene's, as columns: JAX's, or
     NumPy's, which cost 0.1 ms less each."""
@@ -86,9 +106,3 @@ def obstacles_of(kind: str, rows: Mapping[str, Any], dtype: Any, xp: Any = jnp) 
         return triangle_gap, (tuple(columns(rows[name]) for name in "abc"), xp.asarray(rows["solid"], dtype))
     corners = tuple(columns(rows[name]) for name in (("a", "b") if kind == "capsules" else ("center",)))
     return skeleton_gap, (corners, xp.broadcast_to(xp.asarray(rows["radius"], dtype), corners[0].x.shape))
-
-
-def columns_of(skeleton: Skeleton) -> tuple[tuple[Vec3, ...], Any]:
-    """Volumes as the gaps take them, in NumPy's float64."""
-    corners = tuple(Vec3(*(np.asarray(x, np.float64) for x in corner)) for corner in skeleton.corners)
-    return corners, np.asarray(skeleton.radius, np.float64)
