@@ -18,11 +18,10 @@ import numpy as np
 
 from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.collision.surface_trees import surface_of
+from jaxik.fitting.bodies import Body, apart_at_least, depths, gaps, hull_of, separated, touching
 from jaxik.fitting.capsules import FitOptions
-from jaxik.fitting.convex import Body, apart_at_least, depths, gaps, hull_of, separated
 from jaxik.fitting.link_distance_tables import Places, between, frames
 from jaxik.fitting.parts import best_cut, divided, divisions
-from jaxik.fitting.surfaces import touching
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.shapes import Surface, Unchecked, UncheckedReason, fan
 from jaxik.spmd.batch import threads

@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.collision import distance
+from jaxik.fitting.bodies import Body
 from jaxik.fitting.capsules import FitOptions, Fitted, fitted, joined
-from jaxik.fitting.convex import Body
 from jaxik.fitting.link_distance_tables import between, side_of, table_of
 from jaxik.fitting.links import NEAR, NOTHING_ASKED, Asked, Hits, Links, Pair, Pass, Shape
 from jaxik.fitting.parts import few_corners

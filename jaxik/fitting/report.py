@@ -8,11 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.collision.surface_trees import closes
+from jaxik.fitting.bodies import directions, distances
 from jaxik.fitting.capsules import Fitted, away
-from jaxik.fitting.convex import directions
 from jaxik.fitting.links import Shape
 from jaxik.fitting.model import Model
-from jaxik.fitting.surfaces import distances
 from jaxik.kinematics.robot import Robot
 
 SAMPLED = 2000  # points of a mesh's surface, and of a model's

@@ -14,7 +14,7 @@ from robot_files import refused, write
 import jaxik
 from jaxik.collision.clearances import link_clearances
 from jaxik.collision.nearest_pair import Space
-from jaxik.fitting.convex import Body
+from jaxik.fitting.bodies import Body
 from jaxik.fitting.link_distance_tables import table_of
 from jaxik.spmd import kernel
 
