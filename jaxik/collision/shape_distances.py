@@ -11,7 +11,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxik.collision import distance
 from jaxik.spatial.algebra import Frame, Vec3

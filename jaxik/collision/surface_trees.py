@@ -18,6 +18,7 @@ from jax import lax
 
 from jaxik.collision import distance, surfaces
 from jaxik.collision.leaf_rows import Found, entry, nearest_of
+from jaxik.collision.scene import with_zeros
 from jaxik.kinematics.shapes import Surface
 from jaxik.spatial.algebra import Frame, Vec3, traced
 
@@ -110,11 +111,10 @@ def roomy(tree: Trees, room: int = 0) -> Trees:
     """The same in arrays as long as for `room` triangles, so that one kernel serves many."""
     room = next(n for n in ROOMS if n >= max(len(tree.corners), room))
     run = max(-(-room // 2**MOST), 1)
-    filled = lambda x, most: np.concatenate([x, np.zeros((most - len(x), *x.shape[1:]), x.dtype)])
     leaves = np.pad(tree.leaves, ((0, 0), (0, run - tree.leaves.shape[1])), "edge")
-    corners, radius, solid = (filled(x, room) for x in (tree.corners, tree.radius, tree.solid))
+    corners, radius, solid = (with_zeros(x, room, np) for x in (tree.corners, tree.radius, tree.solid))
     most = min(2 * room, 2**MOST)  # leaves
-    boxes, leaves = filled(tree.boxes, 2 * most), filled(leaves, most)
+    boxes, leaves = with_zeros(tree.boxes, 2 * most, np), with_zeros(leaves, most, np)
     return Trees(corners, radius, solid, boxes, leaves, tree.heap, tree.leaf, tree.levels)
 
 
