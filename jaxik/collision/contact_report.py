@@ -279,15 +279,14 @@ def _pair(ours: Any, theirs: Any, row: Any) -> tuple[Any, Any]:
 def _nearest(pairs: list[_Pairs], bounds: dict[tuple[int, int], float]) -> list[tuple[float, _Pairs, int, int]]:
     """Each two names' least distance, the least first, and the pairs, other and volume that it belongs to. Two links are no
     nearer than their entry in `bounds` says."""
-    if not pairs:
-        return []
-    number = np.repeat(np.arange(len(pairs)), [len(each.least) for each in pairs])
-    apart, other, volume = np.concatenate([each.least for each in pairs]).T
-    names = [(each.itself, each.owners[int(o)], each.links[int(v)]) for each in pairs for _, o, v in each.least]
-    raised = np.maximum(apart, [bounds.get((a, b), -np.inf) if itself else -np.inf for itself, a, b in names])
-    order = np.lexsort((volume, other, number, apart, raised))
-    _, first = np.unique(np.array(names, int).reshape(-1, 3)[order], axis=0, return_index=True)
-    return [(float(raised[i]), pairs[number[i]], int(other[i]), int(volume[i])) for i in order[np.sort(first)]]
+    found: dict[Any, tuple[float, float, int, int, int]] = {}
+    for k, each in enumerate(pairs):
+        for apart, other, volume in each.least.tolist():
+            names = each.itself, int(each.owners[int(other)]), int(each.links[int(volume)])
+            bound = bounds.get(names[1:], -np.inf) if each.itself else -np.inf
+            row = max(apart, bound), apart, k, int(other), int(volume)
+            found[names] = min(found.get(names, row), row)
+    return [(raised, pairs[k], other, volume) for raised, _, k, other, volume in sorted(found.values())]
 
 
 def _contact(robot: Robot, scene: Scene | None, apart: float, each: _Pairs, other: int, volume: int) -> Contact:

@@ -76,9 +76,9 @@ def motion_clearance(
     enough: Any = np.inf,
 ) -> MotionClearance:
     """A bound from below of the clearance [m] on the whole motion `start + t (goal - start)`, 0 <= t <= 1, not at samples.
-    Traced.
+    Traced, and one kernel on a CPU.
 
-    Traced: `jit` and `vmap` it; one kernel on a CPU. With `D(t)` the `clearance` of a configuration, told as far as the margin
+    With `D(t)` the `clearance` of a configuration, told as far as the margin
     at least, a motion that keeps more than `margin + resolution` [m] throughout is proven free, one that comes to `margin`
     never is, and
 
@@ -368,8 +368,7 @@ def _row_bounds(robot: Robot, rows: list[_Row], start: Any, goal: Any) -> _Bound
     turned = traced(jnp.abs(goal - start))
     travel = [furthest[j] if prismatic else 0.0 for j, prismatic in enumerate(robot.is_prismatic)]
     found = [[_bounds(robot, *each, turned, travel) for each in row.moved] for row in rows]
-    most = lambda i: jnp.stack([jnp.max(jnp.stack([jnp.asarray(b[i], start.dtype) for b in each])) for each in found])
-    return _Bounds(most(0), most(1), most(2))
+    return _Bounds(*(_most([[b[i] for b in each] for each in found], start.dtype) for i in range(3)))
 
 
 def _table_speeds(robot: Robot, rows: list[_Row], start: Any, goal: Any, margin: Any) -> Any:
@@ -387,8 +386,7 @@ def _table_speeds(robot: Robot, rows: list[_Row], start: Any, goal: Any, margin:
             total = total + moved[j] * jnp.where(beyond, jnp.maximum(slope, table.reach[k]), slope)
         return total
 
-    found = [[speed(t) for t in tables if t.links[1] == row.link] for row in rows]
-    return jnp.stack([jnp.max(jnp.stack([jnp.asarray(x, start.dtype) for x in (0.0, *each)])) for each in found])
+    return _most([[0.0, *(speed(t) for t in tables if t.links[1] == row.link)] for row in rows], start.dtype)
 
 
 def _speeds(robot: Robot, rows: list[_Row], q: Any, moved: Any) -> Any:
@@ -410,7 +408,12 @@ def _speeds(robot: Robot, rows: list[_Row], q: Any, moved: Any) -> Any:
                 place = frames.joints[robot.link_joint[link] - 1] @ Vec3(*traced(centre))
                 linear, angular = linear + axis.cross(place - frame.translation), angular + axis
             found[link, j] = jnp.sqrt(linear.dot(linear)) + radius * jnp.sqrt(angular.dot(angular))
-    return jnp.stack([jnp.max(jnp.stack([jnp.asarray(found[each], q.dtype) for each in row.moved])) for row in rows])
+    return _most([[found[each] for each in row.moved] for row in rows], q.dtype)
+
+
+def _most(rows: list[list[Any]], dtype: Any) -> Any:
+    """The largest number of each row (k,)."""
+    return jnp.stack([jnp.max(jnp.stack([jnp.asarray(x, dtype) for x in row])) for row in rows])
 
 
 def _size(robot: Robot, length: Any, start: Any, goal: Any) -> Any:

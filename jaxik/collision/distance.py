@@ -86,19 +86,9 @@ def point_segment(p: Vec3, a: Vec3, b: Vec3) -> Any:
     return norm(arm - along * t)
 
 
-@jax.custom_jvp
 def segment_segment(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> Any:
     """Segment ab to segment cd."""
-    return _segment_gap(a, b, c, d, *_nearest_on_segments(a, b, c, d))
-
-
-@segment_segment.defjvp
-def _segment_segment_jvp(primals: Any, tangents: Any) -> Any:
-    held = _held(_nearest_on_segments(*primals))
-    return jax.jvp(lambda *ends: _segment_gap(*ends, *held), primals, tangents)
-
-
-def _segment_gap(a: Vec3, b: Vec3, c: Vec3, d: Vec3, s: Any, t: Any) -> Any:
+    s, t = _nearest_on_segments(*_held((a, b, c, d)))
     return norm((a - c) + (b - a) * s - (d - c) * t)
 
 

@@ -149,8 +149,11 @@ class Exact(OwnShape):
 
     def _holds_rows(self, p: Any, others: Any, j: Any) -> Any:
         """Whether part p holds an obstacle of leaf j."""
-        row = lambda i: self._holds(p, place_of(row_at(others.columns, j * others.size + i)))
-        step = lambda i, held: held | row(i)
+
+        def step(i: Any, held: Any) -> Any:
+            row = row_at(others.columns, j * others.size + i)
+            return held | self._holds(p, row[1] if isinstance(row[0], Rot3) else row[0][0])  # its centre, or first corner
+
         return lax.fori_loop(jnp.int32(0), jnp.int32(others.size), step, jnp.zeros((), bool))
 
 
@@ -164,9 +167,3 @@ def _least(row: Any, first: Any, last: Any) -> Any:
 
     start = jnp.zeros_like(row[0], jnp.int32), jnp.full_like(row[0], jnp.inf)
     return lax.fori_loop(first, last, less, start)[0]
-
-
-def place_of(row: Any) -> Vec3:
-    """A point of an obstacle: its first corner, or the centre of what has a frame."""
-    centre: Vec3 = row[1] if isinstance(row[0], Rot3) else row[0][0]
-    return centre

@@ -66,8 +66,8 @@ class Space:
     """A robot at one configuration, among what surrounds it. `by_table`: of a pair whose distance is from a table that is told,
     not the nearest volumes, which have points."""
 
-    def __init__(self, robot: Robot, around: Grouped, q: Any, skips: bool = True, by_table: bool = True):
-        self.trees, self.obstacles, self.dtype, self.skips = bvh.robot_trees(robot), bvh.obstacles_in(around), q.dtype, skips
+    def __init__(self, robot: Robot, around: Grouped, q: Any, by_table: bool = True):
+        self.trees, self.obstacles, self.dtype = bvh.robot_trees(robot), bvh.obstacles_in(around), q.dtype
         self.by_table = by_table
         self.prismatic, self.q, self.tabled = robot.is_prismatic, q, len(self.trees.tables.size) > 0
         bit = bvh.bits(robot.ignored)
@@ -241,7 +241,7 @@ class Space:
             )
             return nearest_of(found, nearest._replace(distance=jnp.where(raised, bound, nearest.distance), other=other))
 
-        return lax.cond(bound < found.distance, compared, lambda found: found, found) if self.skips else compared(found)
+        return self._if(bound < found.distance, compared, found)
 
     def _joints_of(self, number: Any) -> tuple[Any, Any]:
         """The values of a table's joints."""
@@ -260,7 +260,7 @@ class Space:
         for volumes, placed, origin in zip(self.trees.kinds, self.placed, self.first, strict=False):
             squares = others.even and volumes.arity == 1
             # to the triangles of a surface, small and many, a ball around a line is no measure
-            long = others.gap is triangle_gap and volumes.arity > 1 and self.skips
+            long = others.gap is triangle_gap and volumes.arity > 1
 
             def own(i: Any, found: Found, v: Any = (volumes, placed, origin, squares, long)) -> Found:
                 volumes, placed, origin, squares, long = v
@@ -270,26 +270,32 @@ class Space:
                     theirs = rows_from(others.columns, j, others.size)
                     places = origin + i * volumes.size, others.origin + j * others.size
                     inside = lambda found: _nearer(found, mine, theirs, others.gap, squares, volumes.even, places)
-                    if others.size == 1 and volumes.size > 1 and self.skips:  # a sphere around a long one says little
+                    if others.size == 1 and volumes.size > 1:  # a sphere around a long one says little
                         bound = lambda: others.gap(((ball[0],), ball[1]), jax.tree_util.tree_map(lambda x: x[0], theirs))
-                        inside = lambda found, near=inside: lax.cond(bound() < found.distance, near, lambda found: found, found)
+                        inside = lambda found, near=inside: self._if(bound() < found.distance, near, found)
                     if long:
-                        return _if_beside(found, mine, row_at(others.leaves, j), inside)
+                        return self._if_beside(found, mine, row_at(others.leaves, j), inside)
                     return self._if_near(found, ball, row_at(others.leaves, j), inside)
 
                 every = lambda found: lax.fori_loop(first, last, other, found)
-                return _if_beside(found, mine, around, every) if long else every(found)
+                return self._if_beside(found, mine, around, every) if long else every(found)
 
             found = lax.fori_loop(entry(volumes.first, p), entry(volumes.last, p), own, found)
         return found
 
     def _if_near(self, found: Found, a: Any, b: Any, inside: Callable[[Found], Found]) -> Found:
         """Returns what is found `inside` two spheres, unless they are further apart than what is found already."""
-        if not self.skips:
-            return inside(found)
         (center, radius), (other, other_radius) = a, b
         apart, reach = center - other, found.distance + (radius + other_radius)
-        return lax.cond(apart.dot(apart) < reach * reach, inside, lambda found: found, found)
+        return self._if(apart.dot(apart) < reach * reach, inside, found)
+
+    def _if_beside(self, found: Found, mine: Any, ball: Any, inside: Callable[[Found], Found]) -> Found:
+        """Returns what is found `inside` a ball, unless that is further from the one volume than what is found already."""
+        return self._if(skeleton_gap(mine, ((ball[0],), ball[1]))[0] < found.distance, inside, found)
+
+    def _if(self, near: Any, inside: Callable[[Found], Found], found: Found) -> Found:
+        """Returns what is found `inside` what is `near`; all that is skipped is skipped here."""
+        return lax.cond(near, inside, lambda found: found, found)
 
     def _start(self, start: Any, tracked: bool) -> Found:
         nobody = jnp.int32(-1) if tracked else None
@@ -419,12 +425,6 @@ def _placed(trees: RobotTrees, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any
     ball = lambda balls: (next(each), jnp.asarray(balls.radius, dtype))
     corners = lambda v: tuple(itertools.islice(each, v.arity))
     return ball(trees.parts), tuple(Placed(ball(v.leaves), (corners(v), jnp.asarray(v.radius, dtype))) for v in trees.kinds)
-
-
-def _if_beside(found: Found, mine: Any, ball: Any, inside: Callable[[Found], Found]) -> Found:
-    """Returns what is found `inside` a ball, unless that is further from the one volume than what is found already."""
-    beside = skeleton_gap(mine, ((ball[0],), ball[1]))[0] < found.distance
-    return lax.cond(beside, inside, lambda found: found, found)
 
 
 def _nearer(found: Found, mine: Any, theirs: Any, gap: Any, squares: bool, even: bool, places: Any) -> Found:
