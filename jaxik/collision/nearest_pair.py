@@ -20,9 +20,8 @@ from jax import lax
 from jaxik.checks.arrays import is_known
 from jaxik.collision import bvh, distance
 from jaxik.collision.bvh import Grouped, RobotTrees
-from jaxik.collision.convex_pairs import Parts
-from jaxik.collision.exact_pairs import Exact
 from jaxik.collision.leaf_rows import Found, as_columns, count_of, entry, nearest_of, row_at, rows_from
+from jaxik.collision.own_pairs import Exact, Parts
 from jaxik.collision.own_shape import OwnParts, OwnSurfaces
 from jaxik.collision.shape_distances import (
     Gap,

@@ -20,17 +20,14 @@ from typing import Any, ClassVar, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from jaxik.checks.arrays import is_known
-from jaxik.collision.leaf_rows import SLACK, Found, either, entry, nearest_of
-from jaxik.collision.shape_distances import Gap
-from jaxik.collision.surface_trees import TOUCH, Trees, forest, tree_of
+from jaxik.collision.leaf_rows import SLACK
+from jaxik.collision.surface_trees import Trees, forest, tree_of
 from jaxik.collision.volumes import local_volumes
 from jaxik.kinematics.robot import Robot, known_parts, solid_links
 from jaxik.kinematics.shapes import Surface, hashed
 from jaxik.pytree import static
-from jaxik.spatial.algebra import Frame, traced
 
 WITHIN = 0.025  # [m] of volumes' distance, below which an exact robot's own surfaces decide: volumes stand so far out of them
 NEAR = 0.010  # the same, of convex parts
@@ -174,57 +171,3 @@ def _plain_bodies(robot: Robot) -> dict[int, list[tuple[np.ndarray, float]]]:
 def by_volumes(robot: Robot) -> Robot:
     """An exact robot as its volumes and convex parts know it, which hold its surfaces; any other robot as it is."""
     return dataclasses.replace(robot, surfaces=()) if robot.surfaces else robot
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# In kernels
-
-
-class OwnShape:
-    """A robot's links at one configuration. What they are made of is numbered from `first` on among the robot's volumes, and
-    from `origin` on among what these are measured against."""
-
-    def __init__(self, space: Any, within: Any, first: int, origin: int):
-        self.space, self.within, self.first, self.origin = space, jnp.asarray(within, space.dtype), first, origin
-
-    def decided(self, found: Found, nearest: Found, walked: Callable[..., Found], held: Callable[[], Any] | None) -> Found:
-        """Returns what was `found`, or a pair if it is nearer: `nearest` by its volumes, and `walked(start, enough)` by what
-        decides; `held` says whether one of the two is inside of the other."""
-        start = self.start(nearest, jnp.minimum(found.distance, self.within))
-        near = start.distance > 0.0
-        enough = 0.0 if self.space.enough is None else jnp.maximum(self.space.enough, 0.0)
-
-        def closer(found: Found) -> Found:
-            told = walked(start, enough)
-            crossing = (told.distance <= 0.0) | (told.distance < nearest.distance)
-            if held is not None:
-                apart = near & ~crossing & (nearest.distance < 0.0)
-                crossing |= apart & lax.cond(apart, held, lambda: jnp.zeros((), bool))
-            return nearest_of(found, either(crossing, nearest, told))
-
-        return lax.cond(near, closer, lambda found: nearest, found)
-
-    @staticmethod
-    def start(nearest: Found, bound: Any) -> Found:
-        """No pair yet at a `bound` [m], of volumes that are nearer; -1 of others, which walk along, and have found enough."""
-        start = nearest._replace(distance=jnp.where(nearest.distance < bound, jnp.maximum(bound, TOUCH), -1.0))
-        if nearest.mine is None:
-            return start
-        return start._replace(mine=jnp.full_like(nearest.mine, -1), other=jnp.full_like(nearest.other, -1))
-
-    def frame(self, p: Any) -> Frame:
-        """The frame of a part's joint."""
-        return Frame.of_entries(traced(entry(self.space.frames, entry(self.space.trees.joint, p))))
-
-    def touch(self, found: Found) -> Any:
-        """Where the two of a pair that was found touch, if that has to be found first; without derivatives."""
-        return None
-
-    def pair(self, i: Any, other: Any, gap: Gap, touch: Any) -> tuple[Any, Any]:
-        """Number i and what a `gap` measures it to, an obstacle or another number, as volumes; numbers may differ between
-        lanes."""
-        return self.space.volume(self, i), other if isinstance(other, tuple) else self.space.volume(self, other)
-
-    def apart(self, gap: Gap) -> Gap:
-        """The gap that tells how far two are apart."""
-        return gap
