@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, check_known
 from jaxik.checks.options import check_kind, no_such, shown
-from jaxik.collision.scene import Scene, check_scene
+from jaxik.collision.scene import SHAPES, Scene, check_scene
 from jaxik.collision.surface_trees import surface_of
 from jaxik.kinematics.forward import as_posture, joint_frames
 from jaxik.kinematics.robot import Robot, solid_links
@@ -54,21 +54,21 @@ def attach(robot: Robot, scene: Scene, name: str, q: Float[Array, " n"], *, touc
     posture = as_posture("attach", robot, q)
     frames = joint_frames(robot, posture.tolist(), Frame.of(robot.world_T_base)).joints
     joint_T_world = np.linalg.inv(frames[-1].matrices)
-    boxes, volumes = _carried(scene, name, joint_T_world, link)
-    if not (count := len(boxes) + len(volumes)):
+    found = [*_carried(scene, name, joint_T_world, link)]
+    if not (count := len(found)):
         raise ValueError(f"attach: '{shown(name)}' has no obstacle in '{scene.name}'; there is nothing to carry")
     if count > MOST:
         mend = f"at most {MOST:,}; put a few spheres or boxes around it"
         raise ValueError(f"attach: '{shown(name)}' has {count:,} obstacles; {mend}")
-    own = (_surface(scene, name, joint_T_world, link, volumes),) if robot.surfaces else ()
+    shapes = [each for each, _, _ in found]
     held = dataclasses.replace(
         robot,
-        surfaces=(*robot.surfaces, *own),
+        surfaces=(*robot.surfaces, _surface(link, found)) if robot.surfaces else (),
         link_names=(*robot.link_names, name),
         link_joint=(*robot.link_joint, last),
         link_offset=np.concatenate([robot.link_offset, np.eye(4)[None]]),
-        boxes=(*robot.boxes, *boxes),
-        volumes=(*robot.volumes, *volumes),
+        boxes=(*robot.boxes, *(each for each in shapes if isinstance(each, Box))),
+        volumes=(*robot.volumes, *(each for each in shapes if isinstance(each, Volume))),
         self_pairs=(*robot.self_pairs, *((i, link) for i in solid_links(robot) if i not in free)),
     )
     return Attached(held, scene.without([name]))
@@ -83,43 +83,35 @@ def _links(robot: Robot, names: Iterable[str]) -> set[int]:
     return {robot.link_names.index(name) for name in names}
 
 
-def _rows_of(scene: Scene, name: str) -> dict[str, np.ndarray]:
-    """The numbers of an object's obstacles, by kind."""
+Carried = tuple[Box | Volume, np.ndarray, float]
+
+
+def _carried(scene: Scene, name: str, joint_T_world: np.ndarray, link: int) -> Iterator[Carried]:
+    """Yields the object's obstacles in the last joint's frame, each with its triangles (t, 3, 3) and a radius around them."""
     index = scene.object_names.index(name)
-    return {kind: np.flatnonzero((owners == index) & obstacles.there) for kind, obstacles, owners in scene.by_kind()}
+    placed = lambda points, a_T_b=joint_T_world: points @ a_T_b[:3, :3].T + a_T_b[:3, 3]
+    for kind, obstacles, owners in scene.by_kind():
+        fields = {at: np.asarray(getattr(obstacles, at), np.float64) for at in SHAPES[kind]}
+        for i in np.flatnonzero((owners == index) & obstacles.there):
+            row = {at: x[i] if x.ndim else x for at, x in fields.items()}
+            if kind == "boxes":
+                frame = joint_T_world @ row["world_T_box"]
+                yield Box(frame, row["half"], link), placed(brick(row["half"]), frame), 0.0
+            elif kind == "cylinders":
+                frame, (ends, radius) = row["world_T_cylinder"], _capsule(*row.values())
+                own = placed(prism(float(row["radius"]), float(row["half"])), joint_T_world @ frame)
+                yield Volume(placed(ends), np.asarray(radius), link), own, 0.0
+            else:
+                corners = placed(np.stack([row[at] for at in ("center", "a", "b", "c") if at in row]))
+                radius = row.get("radius", np.zeros(()))
+                yield Volume(corners, radius, link), fan(corners), float(radius)
 
 
-def _carried(scene: Scene, name: str, joint_T_world: np.ndarray, link: int) -> tuple[list[Box], list[Volume]]:
-    """The object's obstacles in the last joint's frame."""
-    own = _rows_of(scene, name)
-    local = lambda points: np.asarray(points, np.float64) @ joint_T_world[:3, :3].T + joint_T_world[:3, 3]
-    volume = lambda corners, radius: Volume(local(corners), np.asarray(radius, np.float64), link)
-    points, spheres, capsules, cylinders = scene.points, scene.spheres, scene.capsules, scene.cylinders
-    triangles = scene.triangles
-    volumes = [volume(points.center[i][None], points.radius) for i in own["points"]]
-    volumes += [volume(spheres.center[i][None], spheres.radius[i]) for i in own["spheres"]]
-    volumes += [volume(np.stack([capsules.a[i], capsules.b[i]]), capsules.radius[i]) for i in own["capsules"]]
-    volumes += [volume(np.stack([triangles.a[i], triangles.b[i], triangles.c[i]]), 0.0) for i in own["triangles"]]
-    for i in own["cylinders"]:
-        volumes.append(volume(*_capsule(np.asarray(cylinders.world_T_cylinder[i]), cylinders.radius[i], cylinders.half[i])))
-    boxes = [Box(joint_T_world @ scene.boxes.world_T_box[i], np.asarray(scene.boxes.half[i]), link) for i in own["boxes"]]
-    return boxes, volumes
-
-
-def _surface(scene: Scene, name: str, joint_T_world: np.ndarray, link: int, volumes: list[Volume]) -> Surface:
-    """The object's own surface, for an exact robot: that of its volumes, and of its boxes and cylinders themselves."""
-    of = _rows_of(scene, name)
-    placed = lambda triangles, world_T_b: triangles @ (joint_T_world @ world_T_b)[:3, :3].T + (joint_T_world @ world_T_b)[:3, 3]
-    boxes, cylinders, triangles = scene.boxes, scene.cylinders, len(of["triangles"])
-    shapes = [(placed(brick(np.asarray(boxes.half[i])), np.asarray(boxes.world_T_box[i])), 0.0) for i in of["boxes"]]
-    for i in of["cylinders"]:
-        own = prism(float(cylinders.radius[i]), float(cylinders.half[i]))
-        shapes.append((placed(own, np.asarray(cylinders.world_T_cylinder[i])), 0.0))
-    flat = [np.asarray(v.corners) for v in volumes if len(v.corners) == 3]
-    shapes += [(np.stack(flat), 0.0)] if triangles else []
-    others = volumes[: len(volumes) - len(of["cylinders"])]
-    shapes += [(fan(np.asarray(v.corners)), float(v.radius)) for v in others if len(v.corners) < 3]
-    return surface_of(link, shapes)
+def _surface(link: int, found: list[Carried]) -> Surface:
+    """The object's own surface, for an exact robot; its triangles together, of which some may close around a body."""
+    flat = [own for shape, own, _ in found if isinstance(shape, Volume) and len(shape.corners) == 3]
+    others = [(own, radius) for shape, own, radius in found if isinstance(shape, Box) or len(shape.corners) < 3]
+    return surface_of(link, [*others, *([(np.concatenate(flat), 0.0)] if flat else [])])
 
 
 def _capsule(world_T_cylinder: np.ndarray, radius: Any, half: Any) -> tuple[np.ndarray, Any]:

@@ -8,7 +8,6 @@ is traced, in the order that it has.
 from __future__ import annotations
 
 import dataclasses
-import functools
 import itertools
 from collections.abc import Callable
 from typing import Any
@@ -20,8 +19,9 @@ from jax import lax
 
 from jaxik.checks.arrays import is_known
 from jaxik.collision.leaf_rows import SLACK, Balls
-from jaxik.collision.own_shape import CLOSE, Own, own_shapes, shape_of, told_below
+from jaxik.collision.own_shape import CLOSE, Own, once, own_shapes, shape_of, told_below
 from jaxik.collision.scene import FAR, SHAPES, SIZES_OF, Scene, check_scene, remembered, with_zeros
+from jaxik.collision.surface_trees import across
 from jaxik.collision.volumes import local_volumes
 from jaxik.kinematics.link_distance_table import PairTable
 from jaxik.kinematics.robot import Robot, geometry_between, solid_links
@@ -68,7 +68,7 @@ def grouped(scene: Scene | Grouped | None, robot: Robot, by_object: bool = False
     if scene is None:
         return own_shapes(robot)
     if not isinstance(scene, Scene):
-        if any(obstacles.ignores != robot.ignored for obstacles in scene):
+        if any(obstacles.ignores != robot.ignored for obstacles in obstacles_in(scene)):
             raise ValueError(
                 f"{robot.name}: the obstacles are grouped for another robot's `ignored`; group the scene for this one"
             )
@@ -224,19 +224,11 @@ def _runs(first: np.ndarray, last: np.ndarray) -> np.ndarray:
 
 def by_place(points: np.ndarray, size: int) -> np.ndarray:
     """An order of points (k, 3) in which runs of `size` are neighbours: halved again and again across the longest extent."""
-    order, starts = np.arange(len(points)), np.zeros(1, int)
-    while len(points) > 4 * FAN * size:  # fewer are soon looked through
-        ends = np.append(starts[1:], len(points))
-        lengths = ends - starts
-        if lengths.max() <= size:
-            break
-        here = points[order]
-        extent = np.maximum.reduceat(here, starts) - np.minimum.reduceat(here, starts)
-        segment = np.repeat(np.arange(len(starts)), lengths)
-        along = here[np.arange(len(here)), extent.argmax(axis=1)[segment]]
-        order = order[np.lexsort((along, segment))]
-        halves = starts + (-(-lengths // size) + 1) // 2 * size
-        starts = np.unique(np.concatenate([starts, halves[lengths > size]]))
+    order, ends = np.arange(len(points)), np.array([0, len(points)])
+    while len(points) > 4 * FAN * size and (lengths := np.diff(ends)).max() > size:  # fewer are soon looked through
+        order = across(points, order, ends)
+        halves = ends[:-1] + (-(-lengths // size) + 1) // 2 * size
+        ends = np.unique(np.concatenate([ends, halves[lengths > size]]))
     return order
 
 
@@ -301,12 +293,10 @@ class RobotTrees:
         self.tables = Tables(robot, [(self.links[o], self.links[p]) for p, each in enumerate(before) for o in each])
 
 
-_known_robot = functools.lru_cache(maxsize=64)(RobotTrees)
-
-
+@once
 def robot_trees(robot: Robot) -> RobotTrees:
     """Raises nothing; `clearances.check_geometry` says what is missing."""
-    return _known_robot(robot) if robot.concrete else RobotTrees(robot)
+    return RobotTrees(robot)
 
 
 def pair_tables(robot: Robot) -> list[PairTable]:

@@ -1,10 +1,7 @@
 """Tells by name, on the host, what stands in a robot's way at one configuration.
 
-`clearance` is one number; here are the pairs behind it. The point of a volume's skeleton that is nearest comes from the
-distance's own gradient: a step f along the shortest way raises the distance by |f|, and corner c of the skeleton carries the
-share `f_c . f` of it, which is the point's weight.
-
-Drivers warn by it, before a search, of pairs that collide whatever the joints do, and of ignored objects that are not there.
+`clearance` is one number; here are the pairs behind it. Drivers warn by it, before a search, of pairs that collide whatever the
+joints do, and of ignored objects that are not there.
 """
 
 from __future__ import annotations
@@ -13,8 +10,8 @@ import dataclasses
 import itertools
 import sys
 import warnings
-from collections.abc import Iterable, Iterator
-from functools import cache, lru_cache, partial
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from typing import Any
 
 import jax
@@ -30,13 +27,14 @@ from jaxik.collision.clearances import check_geometry
 from jaxik.collision.nearest_pair import Space
 from jaxik.collision.scene import FAR, Scene, check_scene, remembered
 from jaxik.collision.self_collision_pairs import default_pose
-from jaxik.collision.shape_distances import Gap, along, columns_of, depth_gap, obstacles_of, skeleton_gap
+from jaxik.collision.shape_distances import Gap, along, depth_gap, nearest_points, obstacles_of, skeleton_gap
 from jaxik.collision.solids import SAMPLES
 from jaxik.collision.volumes import Skeleton, skeletons
 from jaxik.kinematics.forward import as_posture
 from jaxik.kinematics.robot import Robot
-from jaxik.spatial.algebra import Vec3
+from jaxik.spatial.algebra import Vec3, traced
 from jaxik.spmd import HostKernel
+from jaxik.spmd.host import host_kernels
 
 BLOCK = 2**18  # distances at a time, which bounds the memory
 ASKED = 64  # of many robots, at most
@@ -118,25 +116,23 @@ def explain(robot: Robot, scene: Scene | None, q: Float[Array, " n"], *, count: 
         else:
             pairs = [*_with_scene(robot, scene, volumes), *_with_itself(robot, volumes, robot.self_pairs)]
             bounds = {table.links: float(table(posture)) for table in pair_tables(robot)}
-            found = [row for row in _nearest(pairs, bounds)[:count] if row[0] < below]
-            contacts = tuple(_contact(robot, scene, pairs[number], apart, *row) for apart, number, *row in found)
+            contacts = tuple(_contact(robot, scene, *row) for row in _nearest(pairs, bounds)[:count] if row[0] < below)
         beside = [*_with_itself(robot, volumes, _left_out(robot)), *_with_scene(robot, scene, volumes, ignored=True)]
-        overlapping = _overlapping(robot, posture, beside)[:count]
-        unchecked = tuple(_contact(robot, scene, beside[number], apart, *row) for apart, number, *row in overlapping)
+        unchecked = tuple(_contact(robot, scene, *row) for row in _overlapping(robot, posture, beside)[:count])
     return Nearby(contacts, _limits(robot, posture)[:count], unchecked)
 
 
-def _overlapping(robot: Robot, q: np.ndarray, pairs: list[_Pairs]) -> list[tuple[float, int, int, int]]:
+def _overlapping(robot: Robot, q: np.ndarray, pairs: list[_Pairs]) -> list[tuple[float, _Pairs, int, int]]:
     """The deepest row (`_nearest`) of each two names that overlap: their volumes do, and if both are links, so does what
     decides where volumes are near."""
     found = [row for row in _nearest(pairs, {}) if row[0] < 0.0]
-    if not any(pairs[number].itself for _, number, *_ in found) or not own_in(grouped(None, robot)):
+    if not any(each.itself for _, each, *_ in found) or not own_in(grouped(None, robot)):
         return found
     apart = dataclasses.replace(robot, self_pairs=tuple(_left_out(robot)))
     told = [contact for contact in _by_own_shape(apart, None, q) if contact.distance < 0.0]
     crossing, links = {(contact.link, contact.other) for contact in told}, robot.link_names
     counts = lambda each, other, volume: not each.itself or (links[each.links[volume]], links[each.owners[other]]) in crossing
-    return [(gap, number, *row) for gap, number, *row in found if counts(pairs[number], *row)]
+    return [row for row in found if counts(*row[1:])]
 
 
 def _by_own_shape(robot: Robot, scene: Scene | None, q: np.ndarray) -> Iterator[Contact]:
@@ -158,18 +154,14 @@ def _by_own_shape(robot: Robot, scene: Scene | None, q: np.ndarray) -> Iterator[
             yield Contact(links[link], other, float(gap), mine, theirs)
 
 
-@lru_cache(maxsize=64)
-def _every_contact(robot: Robot, objects: int) -> HostKernel:
+@host_kernels(1)
+def _every_contact(robot: Robot, objects: int, q: Any, around: Grouped) -> Any:
     """The distance of each pair of parts, and of each part and object, and where the two are nearest."""
-
-    def contacts(q: Any, around: Grouped) -> Any:
-        space = Space(robot, around, q, by_table=False)
-        told = lambda found: (found.distance, *space.nearest_points(found))
-        parts = [space.each_pair(told)] if len(space.trees.other) else []
-        parts += [space.each_object(objects, told)] if objects else []
-        return tuple(jnp.concatenate(columns) for columns in zip(*parts, strict=True))
-
-    return HostKernel(contacts, 1)
+    space = Space(robot, around, q, by_table=False)
+    told = lambda found: (found.distance, *space.nearest_points(found))
+    parts = [space.each_pair(told)] if len(space.trees.other) else []
+    parts += [space.each_object(objects, told)] if objects else []
+    return tuple(jnp.concatenate(columns) for columns in zip(*parts, strict=True))
 
 
 def _left_out(robot: Robot) -> list[tuple[int, int]]:
@@ -183,59 +175,45 @@ class _Pairs:
     """Volumes of one kind against obstacles or volumes of one kind, and who they belong to; `meet` says which owner counts for
     which link. `least` holds rows (distance, other, volume), of each two names in a block of them the least."""
 
-    def __init__(self, gap: Gap, skeleton: Skeleton, others: Any, owners: np.ndarray, meet: np.ndarray, itself: bool):
-        self.gap, self.volumes, self.links = gap, columns_of(skeleton), skeleton.link
-        self.others, self.owners, self.itself = others, owners, itself
-        rows = max(1, BLOCK // len(self.links))
-        blocks = [slice(start, start + rows) for start in range(0, len(owners), rows)]
-        self.least = np.concatenate([self._least_of(block, meet) for block in blocks])
+    def __init__(self, gap: Gap, skeleton: Skeleton, others: Any, owners: np.ndarray, meet: np.ndarray, itself: bool = False):
+        self.gap, self.volumes, self.links = gap, (skeleton.corners, skeleton.radius), skeleton.link
+        self.others, self.owners, self.meet, self.itself = others, owners, meet, itself
+        self.least = np.concatenate([np.zeros((0, 3)), *self._rows()])
 
-    def _least_of(self, block: slice, meet: np.ndarray) -> np.ndarray:
-        owners = self.owners[block]
-        other, volume = np.indices((len(owners), len(self.links)))
-        apart = self.told(0, block.start + other.ravel(), volume.ravel())[0].reshape(other.shape)
-        seen = (apart < FAR / 2.0) & meet[owners[:, None], self.links]
-        return _least(np.where(seen, apart, np.inf), owners, self.links) + np.array([0, block.start, 0])
+    def _rows(self) -> Iterator[np.ndarray]:
+        size = max(1, BLOCK // len(self.links))
+        for start in range(0, len(self.owners), size):
+            owners = self.owners[start : start + size]
+            other, volume = np.indices((len(owners), len(self.links)))
+            apart = self.told(_apart, start + other.ravel(), volume.ravel())[0].reshape(other.shape)
+            seen = (apart < FAR / 2.0) & self.meet[owners[:, None], self.links]
+            yield _least(np.where(seen, apart, np.inf), owners, self.links) + np.array([0, start, 0])
 
-    def told(self, what: int, other: Any, volume: Any) -> list[np.ndarray]:
-        """The results of a kernel for pairs, given by their rows."""
+    def told(self, kernel: Callable[..., HostKernel], other: Any, volume: Any) -> list[np.ndarray]:
+        """What a kernel tells of pairs, given by their rows."""
         (mine, ours), (beside, theirs) = map(jax.tree_util.tree_flatten, (self.volumes, self.others))
-        rows = [*(np.asarray(x)[volume] for x in mine), *(np.asarray(x)[other] for x in beside)]
-        return _kernels(self.gap, ours, theirs)[what](*rows)
+        rows = [np.asarray(x, np.float64)[volume] for x in mine] + [np.asarray(x, np.float64)[other] for x in beside]
+        return kernel(self.gap, ours, theirs)(np.stack(rows, axis=1))
 
 
 class _Depths(_Pairs):
-    """Points `at` one place of volumes' skeletons that are inside of solids of triangles: each to its nearest triangle."""
+    """Balls inside of solids of triangles: each to its nearest triangle."""
 
-    def __init__(self, at: float, skeleton: Skeleton, others: Any, owners: np.ndarray, meet: np.ndarray):
-        self.gap, self.volumes, self.links = _depth_gap(at), columns_of(skeleton), skeleton.link
-        self.others, self.owners, self.itself = others, owners, False
-        points, (corners, solid) = np.stack(along(self.volumes[0], at), axis=-1), others
-        self.least = np.zeros((0, 3))
-        for owner in np.unique(owners[solid > 0.0]):
-            rows = np.flatnonzero((owners == owner) & (solid > 0.0))
-            low, high = (f([f(np.stack(c, axis=-1)[rows], axis=0) for c in corners], axis=0) for f in (np.min, np.max))
-            near = np.all((points >= low) & (points <= high), axis=1) & meet[owner, self.links]
+    def _rows(self) -> Iterator[np.ndarray]:
+        ((centers,), _), (corners, solid) = self.volumes, self.others
+        points, triangles = np.stack(centers, axis=-1), np.stack([np.stack(c, axis=-1) for c in corners], axis=1)
+        for owner in np.unique(self.owners[solid > 0.0]):
+            rows = np.flatnonzero((self.owners == owner) & (solid > 0.0))
+            low, high = triangles[rows].min(axis=(0, 1)), triangles[rows].max(axis=(0, 1))
+            near = np.all((points >= low) & (points <= high), axis=1) & self.meet[owner, self.links]
             for volume in np.flatnonzero(near):
-                if abs(np.sum(_crossings().run(*self._aside(points[volume], rows))[0])) > 0.5:
-                    apart = self.told(0, rows, np.full(len(rows), volume))[0]
-                    nearest = int(apart.argmax())
-                    self.least = np.append(self.least, [[apart[nearest], rows[nearest], volume]], axis=0)
-
-    def _aside(self, point: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
-        """The point and the corners of triangles as numbers in rows."""
-        return [*(np.full(len(rows), x) for x in point), *(x[rows] for corner in self.others[0] for x in corner)]
+                if abs(np.sum(_CROSSING(triangles[rows], points[volume])[0])) > 0.5:
+                    apart = self.told(_apart, rows, np.full(len(rows), volume))[0]
+                    yield np.array([[apart.max(), rows[apart.argmax()], volume]])
 
 
-@cache
-def _depth_gap(at: float) -> Gap:
-    return partial(depth_gap, at=at)  # once each, since kernels are kept by their gap
-
-
-@cache
-def _crossings() -> HostKernel:
-    cut = lambda *x: distance.upward_crossing(*(Vec3(*x[i : i + 3]) for i in range(0, 12, 3)))
-    return HostKernel(cut, 12)
+_CROSSING = HostKernel(lambda corners, point: distance.upward_crossing(Vec3(*point), *(Vec3(*c) for c in corners)), 1)
+_DEPTH = partial(depth_gap, at=0.0)  # of balls; one, since kernels are kept by their gap
 
 
 def _with_scene(robot: Robot, scene: Scene | None, volumes: dict[int, Skeleton], ignored: bool = False) -> Iterator[_Pairs]:
@@ -249,11 +227,17 @@ def _with_scene(robot: Robot, scene: Scene | None, volumes: dict[int, Skeleton],
     for kind, obstacles, owners in scene.by_kind():
         if len(owners):
             gap, others = obstacles_of(kind, vars(obstacles), np.float64, np)
-            for corners, skeleton in volumes.items():
-                yield _Pairs(gap, skeleton, others, owners, meet, False)
-                if kind == "triangles":
-                    count, pace = SAMPLES[corners]
-                    yield from (_Depths(pace * s, skeleton, others, owners, meet) for s in range(count))
+            yield from (_Pairs(gap, skeleton, others, owners, meet) for skeleton in volumes.values())
+            if kind == "triangles":
+                yield _Depths(_DEPTH, _sampled(volumes), others, owners, meet)
+
+
+def _sampled(volumes: dict[int, Skeleton]) -> Skeleton:
+    """Balls at the places of volumes' skeletons that are looked for inside of solids."""
+    each = [(s, pace * k) for count, s in volumes.items() for n, pace in [SAMPLES[count]] for k in range(n)]
+    points = zip(*(along(s.corners, at) for s, at in each), strict=True)
+    radius, link = (np.concatenate(x) for x in zip(*((s.radius, s.link) for s, _ in each), strict=True))
+    return Skeleton((Vec3(*map(np.concatenate, points)),), radius, link)
 
 
 def _with_itself(robot: Robot, volumes: dict[int, Skeleton], pairs: Iterable[tuple[int, int]]) -> Iterator[_Pairs]:
@@ -263,7 +247,7 @@ def _with_itself(robot: Robot, volumes: dict[int, Skeleton], pairs: Iterable[tup
         meet[a, b] = True
     for mine, theirs in itertools.product(volumes.values(), repeat=2):
         if meet[np.ix_(np.unique(theirs.link), np.unique(mine.link))].any():
-            yield _Pairs(skeleton_gap, mine, columns_of(theirs), theirs.link, meet, True)
+            yield _Pairs(skeleton_gap, mine, (theirs.corners, theirs.radius), theirs.link, meet, itself=True)
 
 
 def _least(apart: np.ndarray, owners: np.ndarray, links: np.ndarray) -> np.ndarray:
@@ -276,44 +260,40 @@ def _least(apart: np.ndarray, owners: np.ndarray, links: np.ndarray) -> np.ndarr
     return np.column_stack([apart[row, column], row, column])[first]
 
 
-@cache
-def _kernels(gap: Any, ours: Any, theirs: Any) -> tuple[HostKernel, HostKernel]:
-    """Kernels of pairs in rows, given as the leaves of volumes and of others: of the distance; and of it with its derivative by
-    each number of the volume's corners. They serve any number of pairs; for XLA each number was a program of a second."""
-    count = ours.num_leaves + theirs.num_leaves
-
-    def apart(*leaves: Any) -> Any:
-        unflatten = jax.tree_util.tree_unflatten
-        return gap(unflatten(ours, leaves[: ours.num_leaves]), unflatten(theirs, leaves[ours.num_leaves :]))
-
-    return HostKernel(apart, count), HostKernel(jax.value_and_grad(apart, range(ours.num_leaves - 1)), count)
+# kernels of pairs in rows of numbers, the leaves of a volume and of what it is measured against; they serve any number of pairs
+@host_kernels(1)
+def _apart(gap: Gap, ours: Any, theirs: Any, row: Any) -> Any:
+    return gap(*_pair(ours, theirs, row))
 
 
-def _nearest(pairs: list[_Pairs], bounds: dict[tuple[int, int], float]) -> list[tuple[float, int, int, int]]:
-    """Each two names' least distance, the least first, and which of `pairs`, other and volume it belongs to. Two links are no
+@host_kernels(1)
+def _points(gap: Gap, ours: Any, theirs: Any, row: Any) -> Any:
+    return nearest_points(gap, *_pair(ours, theirs, row))
+
+
+def _pair(ours: Any, theirs: Any, row: Any) -> tuple[Any, Any]:
+    numbers, own = traced(row), ours.num_leaves
+    return jax.tree_util.tree_unflatten(ours, numbers[:own]), jax.tree_util.tree_unflatten(theirs, numbers[own:])
+
+
+def _nearest(pairs: list[_Pairs], bounds: dict[tuple[int, int], float]) -> list[tuple[float, _Pairs, int, int]]:
+    """Each two names' least distance, the least first, and the pairs, other and volume that it belongs to. Two links are no
     nearer than their entry in `bounds` says."""
-    if not pairs:
-        return []
-    number = np.repeat(np.arange(len(pairs)), [len(each.least) for each in pairs])
-    apart, other, volume = np.concatenate([each.least for each in pairs]).T
-    names = [(each.itself, each.owners[int(o)], each.links[int(v)]) for each in pairs for _, o, v in each.least]
-    raised = np.maximum(apart, [bounds.get((a, b), -np.inf) if itself else -np.inf for itself, a, b in names])
-    order = np.lexsort((volume, other, number, apart, raised))
-    _, first = np.unique(np.array(names, int).reshape(-1, 3)[order], axis=0, return_index=True)
-    return [(float(raised[i]), int(number[i]), int(other[i]), int(volume[i])) for i in order[np.sort(first)]]
+    found: dict[Any, tuple[float, float, int, int, int]] = {}
+    for k, each in enumerate(pairs):
+        for apart, other, volume in each.least.tolist():
+            names = each.itself, int(each.owners[int(other)]), int(each.links[int(volume)])
+            bound = bounds.get(names[1:], -np.inf) if each.itself else -np.inf
+            row = max(apart, bound), apart, k, int(other), int(volume)
+            found[names] = min(found.get(names, row), row)
+    return [(raised, pairs[k], other, volume) for raised, _, k, other, volume in sorted(found.values())]
 
 
-def _contact(robot: Robot, scene: Scene | None, each: _Pairs, apart: float, other: int, volume: int) -> Contact:
-    (gap,), *pull = each.told(1, [other], [volume])
-    corners = np.array([[x[volume] for x in corner] for corner in each.volumes[0]])
-    slopes = np.reshape(pull, corners.shape)
-    radius, gap = float(each.volumes[1][volume]), float(gap)
-    force = slopes.sum(axis=0)
-    nearest = (slopes @ force) @ corners if force.any() else corners.mean(axis=0)
+def _contact(robot: Robot, scene: Scene | None, apart: float, each: _Pairs, other: int, volume: int) -> Contact:
+    mine, theirs = np.reshape(each.told(_points, [other], [volume]), (2, 3))
     owner = each.owners[other]
     name = robot.link_names[owner] if each.itself else scene.object_names[owner] if scene and owner >= 0 else "the scene"
-    link = robot.link_names[each.links[volume]]
-    return Contact(link, name, apart, nearest - radius * force, nearest - (radius + gap) * force)
+    return Contact(robot.link_names[each.links[volume]], name, apart, mine, theirs)
 
 
 def _limits(robot: Robot, q: np.ndarray) -> tuple[Limit, ...]:
@@ -329,15 +309,10 @@ def warn_of_scene(who: str, robot: Robot, scene: Scene, margin: float, *others: 
     first that has any of these, and how many have."""
     if robot.concrete and scene.concrete:
         asked = (robot, *others)[:ASKED]
-        told = [lines for each in asked if (lines := scene_words(each, scene, margin))]
+        told = [lines for each in asked if (lines := [*standing_words(each, scene, margin), *_misspelt(each, scene)])]
         some = f" (and so for {len(told)} of the first {len(asked)} robots and bases)" if others else ""
         for line in told[0] if told else ():
             warnings.warn(f"{who}: {line}{some}", stacklevel=3)
-
-
-def scene_words(robot: Robot, scene: Scene, margin: float) -> list[str]:
-    """The warnings, a line each."""
-    return [*standing_words(robot, scene, margin), *_misspelt(robot, scene)]
 
 
 def standing_words(robot: Robot, scene: Scene, margin: float) -> list[str]:

@@ -76,9 +76,9 @@ def motion_clearance(
     enough: Any = np.inf,
 ) -> MotionClearance:
     """A bound from below of the clearance [m] on the whole motion `start + t (goal - start)`, 0 <= t <= 1, not at samples.
-    Traced.
+    Traced, and one kernel on a CPU.
 
-    Traced: `jit` and `vmap` it; one kernel on a CPU. With `D(t)` the `clearance` of a configuration, told as far as the margin
+    With `D(t)` the `clearance` of a configuration, told as far as the margin
     at least, a motion that keeps more than `margin + resolution` [m] throughout is proven free, one that comes to `margin`
     never is, and
 
@@ -148,15 +148,6 @@ _sloped.defjvp(lambda primals, tangents: (primals[0], tangents[1]))
 # The march
 
 
-class _Asked(NamedTuple):
-    """The caller's question, see `motion_clearance`; `first`: any sample that touches will do."""
-
-    margin: Any
-    resolution: Any
-    enough: Any
-    first: bool
-
-
 class _Measured(NamedTuple):
     """A configuration of the motion: its fraction, the distances of each row, and how fast each row's link moves."""
 
@@ -186,15 +177,19 @@ def _advanced(
     far as the first came, and no finer than it needs beside the first."""
     zero, one, far = (jnp.asarray(x, start.dtype) for x in (0.0, 1.0, FAR))
     resolution = jnp.where(resolution > 0.0, resolution, jnp.nan)  # a traced one: then nothing is proven
-    asked = _Asked(margin, resolution, jnp.clip(enough, margin, FAR / 4.0), first)
+    enough = jnp.clip(enough, margin, FAR / 4.0)
     if scene is not None:
-        scene = _asked_of(scene, asked)
+        scene = _decided_as_asked(scene, margin, resolution, enough)
     end = _State(_Measured(one, 0, 0), one, one, far, zero, far, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
+
+    def marched(robot: Robot, scene: Any, end: _State) -> _State:
+        measured, bounds = _ruler(robot, scene, start, goal, extent, margin)
+        return _marched_on(measured, _Sight(margin, resolution, enough, first, bounds), end)
+
     if robot.self_pairs:
-        end = _marched_on(*_ruler(robot, own_in(scene or ()), start, goal, extent, margin), asked, end)
+        end = marched(robot, own_in(scene or ()), end)
     if obstacles_in(scene or ()):
-        alone = dataclasses.replace(robot, self_pairs=())
-        end = _marched_on(*_ruler(alone, scene, start, goal, extent, margin), asked, end)
+        end = marched(dataclasses.replace(robot, self_pairs=()), scene, end)
     free = ~end.hit & (end.here.t >= 1.0)
     bound = jnp.where(free, end.bound, jnp.minimum(end.bound, margin))
     found = jnp.where(bound > FAR / 8.0, jnp.inf, bound), jnp.where(free, jnp.inf, end.here.t), end.nearest
@@ -202,15 +197,15 @@ def _advanced(
     return MotionClearance(clear, contact, nearest, end.count)
 
 
-def _asked_of(scene: Any, asked: _Asked) -> Any:
+def _decided_as_asked(scene: Any, margin: Any, resolution: Any, enough: Any) -> Any:
     """Lets a robot's own shape decide no further off than is asked, where that is known, and in any case what is nearer than
     the margin. With a margin below 0 volumes alone decide, whose depth does not jump."""
-    precise = jnp.maximum(CLOSE, 2.0 * asked.resolution)
+    precise = jnp.maximum(CLOSE, 2.0 * resolution)
 
     def within(usual: float) -> Any:
-        plain = told_below(usual, asked.margin, precise)
-        told = jnp.where(asked.enough > plain, plain, jnp.maximum(asked.enough, 0.0) + precise)
-        return jnp.where(asked.margin < 0.0, -FAR, told)
+        plain = told_below(usual, margin, precise)
+        told = jnp.where(enough > plain, plain, jnp.maximum(enough, 0.0) + precise)
+        return jnp.where(margin < 0.0, -FAR, told)
 
     return decided_within(scene, within)
 
@@ -232,18 +227,22 @@ def _ruler(robot: Robot, scene: Any, start: Any, goal: Any, extent: Any, margin:
 
 
 class _Sight(NamedTuple):
-    """Bounds around a measured configuration, by how fast each row may change."""
+    """Bounds around a measured configuration, by how fast each row may change, for the caller's question (`motion_clearance`);
+    `first`: any sample that touches will do."""
 
+    margin: Any
+    resolution: Any
+    enough: Any
+    first: bool
     bounds: _Bounds
-    asked: _Asked
 
     def level(self, least: Any) -> Any:
         """The distance above which nothing need be looked at more closely: the least measured, to the resolution."""
-        return jnp.minimum(jnp.maximum(least - self.asked.resolution, self.asked.margin), self.asked.enough)
+        return jnp.minimum(jnp.maximum(least - self.resolution, self.margin), self.enough)
 
     def around(self, at: _Measured, least: Any) -> Any:
         """For how long each row stays above the level, before and after."""
-        gap = jnp.maximum(at.apart - self.level(least), self.asked.resolution)
+        gap = jnp.maximum(at.apart - self.level(least), self.resolution)
         slow = 2.0 * gap / (at.speed + jnp.sqrt(at.speed**2 + 2.0 * self.bounds.acceleration * gap))
         return jnp.maximum(slow, gap / self.bounds.speed)
 
@@ -256,10 +255,10 @@ class _Sight(NamedTuple):
 def _stepped(sight: _Sight, state: _State, there: _Measured) -> _State:
     """On to what is measured `there`, where it and `here` see all that lies between; else it is only known, and the next try
     is nearer."""
-    asked, here = sight.asked, state.here
+    here = state.here
     s, now = there.t - here.t, jnp.min(there.apart)
     least = jnp.minimum(state.least, now)
-    touches = ~(now > asked.margin + asked.resolution)  # NaN does
+    touches = ~(now > sight.margin + sight.resolution)  # NaN does
     sure = state.hope == 1.0
     on = sure | (jnp.all(sight.around(here, least) + sight.around(there, least) >= s) & ~touches)
     halfway = jnp.minimum(sight.kept(here, 0.5 * s), sight.kept(there, 0.5 * s))
@@ -272,19 +271,19 @@ def _stepped(sight: _Sight, state: _State, there: _Measured) -> _State:
         least,
         jnp.where(now < state.least, there.t, state.nearest),
         jnp.where(on, jnp.minimum(state.bound, between), state.bound),
-        touches & (asked.first | sure),
+        touches & (sight.first | sure),
         state.count + 1,
     )
 
 
-def _marched_on(measured: Any, bounds: _Bounds, asked: _Asked, before: _State) -> _State:
+def _marched_on(measured: Any, sight: _Sight, before: _State) -> _State:
     """One march from 0 to where the one `before` ended, whose other results it continues."""
-    dtype, until, rows, sight = before.least.dtype, before.here.t, len(bounds.speed), _Sight(bounds, asked)
+    dtype, until, rows = before.least.dtype, before.here.t, len(sight.bounds.speed)
     zero, one = jnp.zeros((), dtype), jnp.ones((), dtype)
     nowhere = _Measured(zero, jnp.full(rows, FAR, dtype), jnp.zeros(rows, dtype))
     start = before._replace(here=nowhere, step=zero, hope=one, hit=jnp.zeros((), bool), count=jnp.zeros((), jnp.int32))
     # NaN is due: what cannot be compared is no proof
-    due = lambda state: ~(state.here.t + state.step >= until) | ((state.count == 0) & ~(before.hit & asked.first))
+    due = lambda state: ~(state.here.t + state.step >= until) | ((state.count == 0) & ~(before.hit & sight.first))
     ahead = lambda state: measured(jnp.minimum(state.here.t + state.hope * state.step, until))
     goes_on = lambda state: due(state) & ~state.hit & (state.count < MOST)
     end = lax.while_loop(goes_on, lambda state: _stepped(sight, state, ahead(state)), start)
@@ -368,8 +367,7 @@ def _row_bounds(robot: Robot, rows: list[_Row], start: Any, goal: Any) -> _Bound
     turned = traced(jnp.abs(goal - start))
     travel = [furthest[j] if prismatic else 0.0 for j, prismatic in enumerate(robot.is_prismatic)]
     found = [[_bounds(robot, *each, turned, travel) for each in row.moved] for row in rows]
-    most = lambda i: jnp.stack([jnp.max(jnp.stack([jnp.asarray(b[i], start.dtype) for b in each])) for each in found])
-    return _Bounds(most(0), most(1), most(2))
+    return _Bounds(*(_most([[b[i] for b in each] for each in found], start.dtype) for i in range(3)))
 
 
 def _table_speeds(robot: Robot, rows: list[_Row], start: Any, goal: Any, margin: Any) -> Any:
@@ -387,8 +385,7 @@ def _table_speeds(robot: Robot, rows: list[_Row], start: Any, goal: Any, margin:
             total = total + moved[j] * jnp.where(beyond, jnp.maximum(slope, table.reach[k]), slope)
         return total
 
-    found = [[speed(t) for t in tables if t.links[1] == row.link] for row in rows]
-    return jnp.stack([jnp.max(jnp.stack([jnp.asarray(x, start.dtype) for x in (0.0, *each)])) for each in found])
+    return _most([[0.0, *(speed(t) for t in tables if t.links[1] == row.link)] for row in rows], start.dtype)
 
 
 def _speeds(robot: Robot, rows: list[_Row], q: Any, moved: Any) -> Any:
@@ -410,7 +407,12 @@ def _speeds(robot: Robot, rows: list[_Row], q: Any, moved: Any) -> Any:
                 place = frames.joints[robot.link_joint[link] - 1] @ Vec3(*traced(centre))
                 linear, angular = linear + axis.cross(place - frame.translation), angular + axis
             found[link, j] = jnp.sqrt(linear.dot(linear)) + radius * jnp.sqrt(angular.dot(angular))
-    return jnp.stack([jnp.max(jnp.stack([jnp.asarray(found[each], q.dtype) for each in row.moved])) for row in rows])
+    return _most([[found[each] for each in row.moved] for row in rows], q.dtype)
+
+
+def _most(rows: list[list[Any]], dtype: Any) -> Any:
+    """The largest number of each row (k,)."""
+    return jnp.stack([jnp.max(jnp.stack([jnp.asarray(x, dtype) for x in row])) for row in rows])
 
 
 def _size(robot: Robot, length: Any, start: Any, goal: Any) -> Any:

@@ -86,19 +86,9 @@ def point_segment(p: Vec3, a: Vec3, b: Vec3) -> Any:
     return norm(arm - along * t)
 
 
-@jax.custom_jvp
 def segment_segment(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> Any:
     """Segment ab to segment cd."""
-    return _segment_gap(a, b, c, d, *_nearest_on_segments(a, b, c, d))
-
-
-@segment_segment.defjvp
-def _segment_segment_jvp(primals: Any, tangents: Any) -> Any:
-    held = _held(_nearest_on_segments(*primals))
-    return jax.jvp(lambda *ends: _segment_gap(*ends, *held), primals, tangents)
-
-
-def _segment_gap(a: Vec3, b: Vec3, c: Vec3, d: Vec3, s: Any, t: Any) -> Any:
+    s, t = _nearest_on_segments(*_held((a, b, c, d)))
     return norm((a - c) + (b - a) * s - (d - c) * t)
 
 
@@ -134,11 +124,6 @@ def point_triangle(p: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
     return jnp.where(inside, plane, _least(point_segment(p, *_edges((a, b, c), p))))
 
 
-def segment_triangle(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
-    """Segment pq to the triangle abc; 0 where it passes through."""
-    return jnp.where(passes_through(p, q, a, b, c), 0.0, outside_triangle((p, q), (a, b, c)))
-
-
 def passes_through(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
     """Whether segment pq meets the triangle abc, its edges included, and is not in its plane."""
     normal = (b - a).cross(c - a)
@@ -146,11 +131,6 @@ def passes_through(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
     x = p + (q - p) * safe_divide(before, before - after)
     o, e = _edges((a, b, c), p)
     return (before * after <= 0.0) & (_least(normal.dot((e - o).cross(x - o))) >= 0.0) & (before != after)
-
-
-def triangle_triangle(a: Vec3, b: Vec3, c: Vec3, d: Vec3, e: Vec3, f: Vec3) -> Any:
-    """Triangle abc to triangle def; 0 where they cross."""
-    return jnp.where(triangles_cross(a, b, c, d, e, f), 0.0, triangles_apart(a, b, c, d, e, f))
 
 
 def triangles_cross(a: Vec3, b: Vec3, c: Vec3, d: Vec3, e: Vec3, f: Vec3) -> Any:
@@ -192,18 +172,16 @@ def _least(stacked: Any) -> Any:
 
 
 def between(s: tuple[Vec3, ...], t: tuple[Vec3, ...]) -> Any:
-    """The distance of two skeletons with 1, 2 or 3 corners each."""
-    if len(s) > len(t):
-        return between(t, s)
-    pairs: dict[tuple[int, int], Callable[..., Any]] = {
-        (1, 1): lambda p, q: norm(p - q),
-        (1, 2): point_segment,
-        (1, 3): point_triangle,
-        (2, 2): segment_segment,
-        (2, 3): segment_triangle,
-        (3, 3): triangle_triangle,
-    }
-    return pairs[len(s), len(t)](*s, *t)
+    """The distance of two skeletons with 1, 2 or 3 corners each; 0 where they cross."""
+    fewer, more = sorted((s, t), key=len)
+    if len(more) == 1:
+        return norm(fewer[0] - more[0])
+    if len(more) == 2:
+        return point_segment(*fewer, *more) if len(fewer) == 1 else segment_segment(*fewer, *more)
+    if len(fewer) == 1:
+        return point_triangle(*fewer, *more)
+    crosses = passes_through if len(fewer) == 2 else triangles_cross
+    return jnp.where(crosses(*fewer, *more), 0.0, outside_triangle(fewer, more))
 
 
 def outside_triangle(skeleton: tuple[Vec3, ...], triangle: tuple[Vec3, ...]) -> Any:

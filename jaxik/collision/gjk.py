@@ -76,7 +76,6 @@ def separation(a: Support, b: Support, start: Vec3, least: Any, close: float, tr
     some direction from b to a; of a negative `least` nothing is looked at; `tracked` asks for the nearest points, too."""
     zero = jnp.zeros_like(least)
     false = zero > 1.0
-    corner = lambda v: _supported(a, b, v, tracked)
     none = Vec3(zero, zero, zero)
     begin = _Corner(start, (none, none) if tracked else ())
     state = _State(jnp.int32(0), zero - 1.0, none, begin, (begin,) * 4, (false,) * 4, least >= 0.0)
@@ -84,7 +83,8 @@ def separation(a: Support, b: Support, start: Vec3, least: Any, close: float, tr
     def step(state: _State) -> _State:
         length = safe_sqrt(state.nearest.apart.dot(state.nearest.apart))
         scale = jnp.maximum(length, 1e-12)
-        w = corner(state.nearest.apart)
+        mine, theirs = a(-state.nearest.apart), b(state.nearest.apart)
+        w = _Corner(mine - theirs, (mine, theirs) if tracked else ())
         along = state.nearest.apart.dot(w.apart) / scale
         better = along > state.apart
         apart = jnp.where(better, along, state.apart)
@@ -103,11 +103,6 @@ def separation(a: Support, b: Support, start: Vec3, least: Any, close: float, tr
 
     found = lax.while_loop(lambda state: state.goes_on & (state.count < STEPS), step, state)
     return Separation(jnp.maximum(found.apart, 0.0), found.across, found.nearest.points)
-
-
-def _supported(a: Support, b: Support, v: Vec3, tracked: bool) -> _Corner:
-    mine, theirs = a(-v), b(v)
-    return _Corner(mine - theirs, (mine, theirs) if tracked else ())
 
 
 def _nearest(simplex: tuple[_Corner, ...], used: list[Any]) -> tuple[_Corner, list[Any]]:

@@ -20,11 +20,19 @@ from jax import lax
 from jaxik.checks.arrays import is_known
 from jaxik.collision import bvh, distance
 from jaxik.collision.bvh import Grouped, RobotTrees
-from jaxik.collision.convex_pairs import Parts
-from jaxik.collision.exact_pairs import Exact
 from jaxik.collision.leaf_rows import Found, as_columns, count_of, entry, nearest_of, row_at, rows_from
+from jaxik.collision.own_pairs import Exact, Parts
 from jaxik.collision.own_shape import OwnParts, OwnSurfaces
-from jaxik.collision.shape_distances import Gap, depth_gap, obstacles_of, skeleton_gap, square_gap, triangle_gap
+from jaxik.collision.shape_distances import (
+    Gap,
+    depth_gap,
+    nearest_points,
+    obstacles_of,
+    pulled,
+    skeleton_gap,
+    square_gap,
+    triangle_gap,
+)
 from jaxik.collision.solids import Solids
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.link_distance_table import interpolated
@@ -35,11 +43,10 @@ FEW = 16  # points of a robot, up to which they are moved without a loop
 
 
 class Placed(NamedTuple):
-    """Volumes of one corner count in the world: their leaves' spheres, centres and radii, and their corners, as columns."""
+    """Volumes of one corner count in the world, as columns: their leaves' spheres, and they themselves, corners and radii."""
 
     leaves: tuple[Vec3, Any]
-    corners: tuple[Vec3, ...]
-    radius: Any
+    volumes: tuple[tuple[Vec3, ...], Any]
 
 
 class Others(NamedTuple):
@@ -58,8 +65,8 @@ class Space:
     """A robot at one configuration, among what surrounds it. `by_table`: of a pair whose distance is from a table that is told,
     not the nearest volumes, which have points."""
 
-    def __init__(self, robot: Robot, around: Grouped, q: Any, skips: bool = True, by_table: bool = True):
-        self.trees, self.obstacles, self.dtype, self.skips = bvh.robot_trees(robot), bvh.obstacles_in(around), q.dtype, skips
+    def __init__(self, robot: Robot, around: Grouped, q: Any, by_table: bool = True):
+        self.trees, self.obstacles, self.dtype = bvh.robot_trees(robot), bvh.obstacles_in(around), q.dtype
         self.by_table = by_table
         self.prismatic, self.q, self.tabled = robot.is_prismatic, q, len(self.trees.tables.size) > 0
         bit = bvh.bits(robot.ignored)
@@ -70,22 +77,24 @@ class Space:
         self.parts, self.placed = _placed(self.trees, self.frames, q.dtype)
         sizes = [len(v.radius) for v in self.trees.kinds]
         self.first = np.cumsum([0, *sizes]).tolist()  # of the volumes of each kind, in one numbering
-        others: list[tuple[Any, Gap, Any, int, bool]] = []
+        self.others: list[Others] = []
+        self.rows = 0  # of all others; the numbers of tables come after them
         for o in self.obstacles:
             gap, columns = obstacles_of(o.kind, o.rows, q.dtype)
             size = count_of(columns) // len(o.leaves.radius)
-            others.append((columns, gap, as_columns(o.leaves, q.dtype), size, o.kind == "points"))
+            self._put(columns, gap, as_columns(o.leaves, q.dtype), size, o.kind == "points")
         for v, p in zip(self.trees.kinds, self.placed, strict=True):
-            others.append(((p.corners, p.radius), skeleton_gap, p.leaves, v.size, v.even and v.arity == 1))
+            self._put(p.volumes, skeleton_gap, p.leaves, v.size, v.even and v.arity == 1)
         self.enough: Any = None  # a distance [m] that ends the search
         self.solid = [k for k, o in enumerate(self.obstacles) if o.bodies is not None]
-        self.inner = len(others)  # the first of those that are the same triangles, seen from inside
-        others += [(others[k][0], depth_gap, *others[k][2:]) for k in self.solid]
-        # those of tables come after them
-        *origins, self.rows = itertools.accumulate((count_of(columns) for columns, *_ in others), initial=0)
-        self.others = [Others(*each, origin) for each, origin in zip(others, origins, strict=True)]
-        count = self.rows + len(self.trees.tables.size)
-        self.own = self._own_shape(around, count)
+        self.inner = len(self.others)  # the first of those that are the same triangles, seen from inside
+        for k in self.solid:
+            self._put(self.others[k].columns, depth_gap, *self.others[k][2:5])
+        self.own = self._own_shape(around, self.rows + len(self.trees.tables.size))
+
+    def _put(self, columns: Any, *kind: Any) -> None:
+        self.others.append(Others(columns, *kind, origin=self.rows))
+        self.rows += count_of(columns)
 
     def _own_shape(self, around: Grouped, origin: int) -> Exact | Parts | None:
         """The own shape that decides where volumes are near, numbered from `origin` on: surfaces, or else convex parts."""
@@ -109,36 +118,38 @@ class Space:
         found = self._by_own_shape(jnp.int32(0), jnp.int32(len(self.trees.other)), found)
         return lax.fori_loop(jnp.int32(0), count, step, found)
 
+    def mapped(self, count: int, find: Callable[[Any, Found], Found], then: Callable[[Found], Any], tracked: bool) -> Any:
+        """`then` of what `find(i, found)` gives for each number i below `count`, from nothing on, in arrays (count, ...)."""
+        one = lambda _, i: (None, then(find(i, self._start(jnp.inf, tracked))))
+        return lax.scan(one, None, jnp.arange(count, dtype=jnp.int32))[1]
+
     def each(self, then: Callable[[Found], Any], tracked: bool = False) -> Any:
         """`then` of the nearest pair of each part, in arrays with an entry a link, from the base on."""
-        one = lambda _, p: (None, then(self.part(p, self._start(jnp.inf, tracked))))
-        found = lax.scan(one, None, jnp.arange(len(self.trees.links), dtype=jnp.int32))[1]
-        return jax.tree_util.tree_map(lambda x: x[::-1], found)
+        return jax.tree_util.tree_map(lambda x: x[::-1], self.mapped(len(self.trees.links), self.part, then, tracked))
 
     def objects(self, count: int, then: Callable[[Found], Any], tracked: bool = False) -> Any:
         """`then` of the nearest pair of each object, which is branch after branch of the obstacles."""
 
-        def one(_: Any, b: Any) -> Any:
+        def find(b: Any, found: Found) -> Found:
             step, parts = lambda p, found: self._to_object(p, b, found), jnp.int32(len(self.trees.links))
-            return None, then(lax.fori_loop(jnp.int32(0), parts, step, self._start(jnp.inf, tracked)))
+            return lax.fori_loop(jnp.int32(0), parts, step, found)
 
-        return lax.scan(one, None, jnp.arange(count, dtype=jnp.int32))[1]
+        return self.mapped(count, find, then, tracked)
 
     def each_object(self, count: int, then: Callable[[Found], Any]) -> Any:
         """`then` of each part and each object, in arrays (parts * count,)."""
-        one = lambda _, i: (None, then(self._to_object(i // count, i % count, self._start(jnp.inf, True))))
-        return lax.scan(one, None, jnp.arange(len(self.trees.links) * count, dtype=jnp.int32))[1]
+        find = lambda i, found: self._to_object(i // count, i % count, found)
+        return self.mapped(len(self.trees.links) * count, find, then, True)
+
+    def each_pair(self, then: Callable[[Found], Any]) -> Any:
+        """`then` of each pair of parts of a robot with an own shape, in the order of `RobotTrees.other`."""
+        return self.mapped(len(self.trees.other), lambda k, found: self._by_own_shape(k, k + 1, found), then, True)
 
     def _to_object(self, p: Any, b: Any, found: Found) -> Found:
         """Part p against branch b of the obstacles of each kind."""
         for k in range(len(self.obstacles)):
             found = self._to_branches(p, row_at(self.parts, p), k, b, b + 1, found)
         return found
-
-    def each_pair(self, then: Callable[[Found], Any]) -> Any:
-        """`then` of each pair of parts of a robot with an own shape, in the order of `RobotTrees.other`."""
-        one = lambda _, k: (None, then(self._by_own_shape(k, k + 1, self._start(jnp.inf, True))))
-        return lax.scan(one, None, jnp.arange(len(self.trees.other), dtype=jnp.int32))[1]
 
     def part(self, p: Any, found: Found, itself: bool = True) -> Found:
         """The nearest pair of part p, a later one of two parts, or what was `found` if none is nearer."""
@@ -229,7 +240,7 @@ class Space:
             )
             return nearest_of(found, nearest._replace(distance=jnp.where(raised, bound, nearest.distance), other=other))
 
-        return lax.cond(bound < found.distance, compared, lambda found: found, found) if self.skips else compared(found)
+        return self._if(bound < found.distance, compared, found)
 
     def _joints_of(self, number: Any) -> tuple[Any, Any]:
         """The values of a table's joints."""
@@ -248,36 +259,42 @@ class Space:
         for volumes, placed, origin in zip(self.trees.kinds, self.placed, self.first, strict=False):
             squares = others.even and volumes.arity == 1
             # to the triangles of a surface, small and many, a ball around a line is no measure
-            long = others.gap is triangle_gap and volumes.arity > 1 and self.skips
+            long = others.gap is triangle_gap and volumes.arity > 1
 
             def own(i: Any, found: Found, v: Any = (volumes, placed, origin, squares, long)) -> Found:
                 volumes, placed, origin, squares, long = v
-                ball, mine = row_at(placed.leaves, i), rows_from((placed.corners, placed.radius), i, volumes.size)
+                ball, mine = row_at(placed.leaves, i), rows_from(placed.volumes, i, volumes.size)
 
                 def other(j: Any, found: Found) -> Found:
                     theirs = rows_from(others.columns, j, others.size)
                     places = origin + i * volumes.size, others.origin + j * others.size
                     inside = lambda found: _nearer(found, mine, theirs, others.gap, squares, volumes.even, places)
-                    if others.size == 1 and volumes.size > 1 and self.skips:  # a sphere around a long one says little
+                    if others.size == 1 and volumes.size > 1:  # a sphere around a long one says little
                         bound = lambda: others.gap(((ball[0],), ball[1]), jax.tree_util.tree_map(lambda x: x[0], theirs))
-                        inside = lambda found, near=inside: lax.cond(bound() < found.distance, near, lambda found: found, found)
+                        inside = lambda found, near=inside: self._if(bound() < found.distance, near, found)
                     if long:
-                        return _if_beside(found, mine, row_at(others.leaves, j), inside)
+                        return self._if_beside(found, mine, row_at(others.leaves, j), inside)
                     return self._if_near(found, ball, row_at(others.leaves, j), inside)
 
                 every = lambda found: lax.fori_loop(first, last, other, found)
-                return _if_beside(found, mine, around, every) if long else every(found)
+                return self._if_beside(found, mine, around, every) if long else every(found)
 
             found = lax.fori_loop(entry(volumes.first, p), entry(volumes.last, p), own, found)
         return found
 
     def _if_near(self, found: Found, a: Any, b: Any, inside: Callable[[Found], Found]) -> Found:
         """Returns what is found `inside` two spheres, unless they are further apart than what is found already."""
-        if not self.skips:
-            return inside(found)
         (center, radius), (other, other_radius) = a, b
         apart, reach = center - other, found.distance + (radius + other_radius)
-        return lax.cond(apart.dot(apart) < reach * reach, inside, lambda found: found, found)
+        return self._if(apart.dot(apart) < reach * reach, inside, found)
+
+    def _if_beside(self, found: Found, mine: Any, ball: Any, inside: Callable[[Found], Found]) -> Found:
+        """Returns what is found `inside` a ball, unless that is further from the one volume than what is found already."""
+        return self._if(skeleton_gap(mine, ((ball[0],), ball[1]))[0] < found.distance, inside, found)
+
+    def _if(self, near: Any, inside: Callable[[Found], Found], found: Found) -> Found:
+        """Returns what is found `inside` what is `near`; all that is skipped is skipped here."""
+        return lax.cond(near, inside, lambda found: found, found)
 
     def _start(self, start: Any, tracked: bool) -> Found:
         nobody = jnp.int32(-1) if tracked else None
@@ -306,7 +323,7 @@ class Space:
         """
 
         def pull(gap: Gap, own: Any, other: Any, between: Any) -> Any:
-            corners, (_, slope, force) = own[0], _pulled(gap, own, other)
+            corners, (_, slope, force) = own[0], pulled(gap, own, other)
             moment = functools.reduce(Vec3.__add__, [c.cross(f) for c, f in zip(corners, slope, strict=True)])
             return force, moment, between
 
@@ -331,13 +348,8 @@ class Space:
     def nearest_points(self, found: Found) -> tuple[Any, Any]:
         """Where a pair that was found is nearest: on its own volume (3,), and on the other (3,) [m, world]."""
 
-        def points(gap: Gap, own: Any, other: Any, _: Any) -> Any:
-            (corners, radius), (value, slopes, force) = own, _pulled(gap, own, other)
-            share = lambda slope: jnp.where(force.dot(force) > 0.0, slope.dot(force), 1.0 / len(corners))
-            nearest = functools.reduce(Vec3.__add__, [c * share(f) for c, f in zip(corners, slopes, strict=True)])
-            return nearest - force * radius, nearest - force * (radius + value)
-
         nowhere = Vec3(*[jnp.full((), jnp.nan, self.dtype)] * 3)
+        points = lambda gap, own, other, _: nearest_points(gap, own, other)
         mine, other = self._of_pair(found, points, (nowhere, nowhere))
         return stack(mine, (3,), self.dtype), stack(other, (3,), self.dtype)
 
@@ -411,21 +423,7 @@ def _placed(trees: RobotTrees, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any
     each = (Vec3(*(x[a:b] for x in columns)) for a, b in cuts)
     ball = lambda balls: (next(each), jnp.asarray(balls.radius, dtype))
     corners = lambda v: tuple(itertools.islice(each, v.arity))
-    return ball(trees.parts), tuple(Placed(ball(v.leaves), corners(v), jnp.asarray(v.radius, dtype)) for v in trees.kinds)
-
-
-def _pulled(gap: Gap, own: Any, other: Any) -> tuple[Any, tuple[Vec3, ...], Vec3]:
-    """A volume's distance, its slope by each of the volume's corners, and their sum: the force with which it pulls."""
-    corners, radius = own
-    value, back = jax.vjp(lambda corners: gap((corners, radius), other), corners)
-    (slopes,) = back(jnp.ones_like(value))
-    return value, slopes, functools.reduce(Vec3.__add__, slopes)
-
-
-def _if_beside(found: Found, mine: Any, ball: Any, inside: Callable[[Found], Found]) -> Found:
-    """Returns what is found `inside` a ball, unless that is further from the one volume than what is found already."""
-    beside = skeleton_gap(mine, ((ball[0],), ball[1]))[0] < found.distance
-    return lax.cond(beside, inside, lambda found: found, found)
+    return ball(trees.parts), tuple(Placed(ball(v.leaves), (corners(v), jnp.asarray(v.radius, dtype))) for v in trees.kinds)
 
 
 def _nearer(found: Found, mine: Any, theirs: Any, gap: Any, squares: bool, even: bool, places: Any) -> Found:

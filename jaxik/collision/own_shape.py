@@ -14,37 +14,34 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
-from typing import Any, ClassVar
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from jaxik.checks.arrays import is_known
-from jaxik.collision.leaf_rows import SLACK, Found, either, entry, nearest_of
-from jaxik.collision.shape_distances import Gap
-from jaxik.collision.surface_trees import TOUCH, Trees, forest, tree_of
+from jaxik.collision.leaf_rows import SLACK
+from jaxik.collision.surface_trees import Trees, forest, tree_of
 from jaxik.collision.volumes import local_volumes
 from jaxik.kinematics.robot import Robot, known_parts, solid_links
 from jaxik.kinematics.shapes import Surface, hashed
 from jaxik.pytree import static
-from jaxik.spatial.algebra import Frame, traced
 
 WITHIN = 0.025  # [m] of volumes' distance, below which an exact robot's own surfaces decide: volumes stand so far out of them
 NEAR = 0.010  # the same, of convex parts
 CLOSE = 0.003  # [m] beyond a margin, where nothing but whether it is kept is asked for
+Made = TypeVar("Made")
 
 
 class Own:
     """A robot's own shape, for kernels: it decides where volumes are nearer than `within` [m], `usual` unless another distance
-    is asked for. `of` says which links' it is (`shape_of`), `ignores` what the robot ignores."""
+    is asked for. `of` says which links' it is (`shape_of`)."""
 
     usual: ClassVar[float]
     within: Any
     of: str
-    ignores: tuple[tuple[int, str], ...]
 
     def decided(self, within: Callable[[float], Any]) -> Any:
         """The same shape, deciding what volumes are nearer to than `within(usual)` [m]."""
@@ -66,7 +63,6 @@ class OwnSurfaces(Own):
     first: Any
     within: Any
     of: str = static()
-    ignores: tuple[tuple[int, str], ...] = static()
 
 
 @jax.tree_util.register_dataclass
@@ -88,7 +84,6 @@ class OwnParts(Own):
     closer: Any
     within: Any
     of: str = static()
-    ignores: tuple[tuple[int, str], ...] = static()
 
 
 def told_below(usual: Any, margin: Any, resolution: Any = CLOSE) -> Any:
@@ -97,45 +92,43 @@ def told_below(usual: Any, margin: Any, resolution: Any = CLOSE) -> Any:
     return (np if is_known((margin, resolution)) else jnp).maximum(usual, margin + resolution)
 
 
+def once(make: Callable[[Robot], Made]) -> Callable[[Robot], Made]:
+    """Caches what a function makes of a robot, unless something in the robot is traced."""
+    known = functools.lru_cache(maxsize=64)(make)
+    return functools.wraps(make)(lambda robot: known(robot) if robot.concrete else make(robot))
+
+
 def own_shapes(robot: Robot) -> tuple[Own, ...]:
     """Returns the surfaces of an exact robot, and the convex parts of one with fitted meshes, if they speak of its volumes as
     they are."""
-    parts = _known_parts(robot) if robot.concrete else _own_parts(robot)
     if not robot.surfaces:
-        return parts
-    known = {each.link for each in robot.surfaces}
-    for link in solid_links(robot):
+        return _own_parts(robot)
+    known, links = {each.link: each for each in robot.surfaces}, tuple(solid_links(robot)[::-1])
+    for link in reversed(links):
         if link not in known:
             name = robot.link_names[link]
             raise ValueError(f"{robot.name}: exact, but {name} has no surface; give it one in `surfaces`, or leave all out")
-    own = _own_surfaces(robot.surfaces, tuple(solid_links(robot)[::-1]), robot.link_joint, robot.ignored, shape_of(robot))
-    return own, *parts
+    joints = tuple(robot.link_joint[link] for link in links)
+    return _own_surfaces(tuple(known[link] for link in links), joints, shape_of(robot)), *_own_parts(robot)
 
 
 @functools.lru_cache(maxsize=16)
-def _own_surfaces(
-    surfaces: tuple[Surface, ...],
-    links: tuple[int, ...],
-    link_joint: tuple[int, ...],
-    ignored: tuple[tuple[int, str], ...],
-    shape: str,
-) -> OwnSurfaces:
-    of = {each.link: each for each in surfaces}
-    parts = [of[link] for link in links]
+def _own_surfaces(parts: tuple[Surface, ...], joints: tuple[int, ...], shape: str) -> OwnSurfaces:
     trees = forest([tree_of(s.corners, s.radius, s.solid) for s in parts])
-    sizes, points = [len(s.corners) for s in parts], [len(s.points) for s in parts]
-    starts = np.cumsum([0, *sizes])[:-1]
-    joint = np.repeat([link_joint[link] for link in links], sizes).astype(np.int32)
-    number = np.concatenate([s.points + start for s, start in zip(parts, starts, strict=True)]).astype(np.int32)
-    return OwnSurfaces(trees, joint, number, np.cumsum([0, *points]).astype(np.int32), np.asarray(WITHIN), shape, ignored)
+    sizes = [len(s.corners) for s in parts]
+    number = [s.points + start for s, start in zip(parts, _starts(sizes), strict=False)]
+    joint, first = np.repeat(joints, sizes).astype(np.int32), _starts([len(each) for each in number])
+    return OwnSurfaces(trees, joint, np.concatenate(number).astype(np.int32), first, np.asarray(WITHIN), shape)
 
 
+def _starts(sizes: Sequence[int]) -> np.ndarray:
+    """Where runs of these sizes begin, and at last where they end."""
+    return np.cumsum([0, *sizes]).astype(np.int32)
+
+
+@once
 def shape_of(robot: Robot) -> str:
     """A hash of a robot's links and their shapes, but for what JAX arrays hold: those are operands of its kernels."""
-    return _known_shape(robot) if robot.concrete else _hash_of(robot)
-
-
-def _hash_of(robot: Robot) -> str:
     shapes = jax.tree_util.tree_leaves(
         [(v.corners, v.radius) for v in robot.volumes] + [(b.joint_T_box, b.half) for b in robot.boxes]
     )
@@ -143,6 +136,7 @@ def _hash_of(robot: Robot) -> str:
     return hashed((solid_links(robot), robot.link_joint, robot.convex_parts, [np.shape(x) for x in shapes]), fixed)
 
 
+@once
 def _own_parts(robot: Robot) -> tuple[OwnParts, ...]:
     """A robot's bodies; none where no link's volumes are those that its parts are known for, or these are traced."""
     if not robot.convex_parts or not is_known((robot.volumes, robot.boxes)):
@@ -155,16 +149,13 @@ def _own_parts(robot: Robot) -> tuple[OwnParts, ...]:
     links, plain = solid_links(robot)[::-1], _plain_bodies(robot)
     of = [fitted.get(link) or plain[link] for link in links]
     bodies = [body for each in of for body in each]
-    starts = lambda sizes: np.cumsum([0, *sizes]).astype(np.int32)
     corners, radius = np.concatenate([c for c, _ in bodies]), np.array([r for _, r in bodies])
     low, high = (np.array([f(c, axis=0) + s * (r + SLACK) for c, r in bodies]) for f, s in ((np.min, -1.0), (np.max, 1.0)))
     center, half = (high + low) / 2.0, (high - low) / 2.0
     joint = np.repeat([robot.link_joint[link] for link in links], [len(each) for each in of]).astype(np.int32)
+    begins, first = _starts([len(c) for c, _ in bodies]), _starts([len(each) for each in of])
     closer = np.array([link in fitted for link in links])
-    begins, first = starts(len(c) for c, _ in bodies), starts(map(len, of))
-    return (
-        OwnParts(corners, begins, radius, joint, center, half, first, closer, np.asarray(NEAR), shape_of(robot), robot.ignored),
-    )
+    return (OwnParts(corners, begins, radius, joint, center, half, first, closer, np.asarray(NEAR), shape_of(robot)),)
 
 
 def _plain_bodies(robot: Robot) -> dict[int, list[tuple[np.ndarray, float]]]:
@@ -176,65 +167,7 @@ def _plain_bodies(robot: Robot) -> dict[int, list[tuple[np.ndarray, float]]]:
     return found
 
 
-_known_parts = functools.lru_cache(maxsize=64)(_own_parts)
-_known_shape = functools.lru_cache(maxsize=64)(_hash_of)
-
-
 @functools.lru_cache(maxsize=64)
 def by_volumes(robot: Robot) -> Robot:
     """An exact robot as its volumes and convex parts know it, which hold its surfaces; any other robot as it is."""
     return dataclasses.replace(robot, surfaces=()) if robot.surfaces else robot
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# In kernels
-
-
-class OwnShape:
-    """A robot's links at one configuration. What they are made of is numbered from `first` on among the robot's volumes, and
-    from `origin` on among what these are measured against."""
-
-    def __init__(self, space: Any, within: Any, first: int, origin: int):
-        self.space, self.within, self.first, self.origin = space, jnp.asarray(within, space.dtype), first, origin
-
-    def decided(self, found: Found, nearest: Found, walked: Callable[..., Found], held: Callable[[], Any] | None) -> Found:
-        """Returns what was `found`, or a pair if it is nearer: `nearest` by its volumes, and `walked(start, enough)` by what
-        decides; `held` says whether one of the two is inside of the other."""
-        start = self.start(nearest, jnp.minimum(found.distance, self.within))
-        near = start.distance > 0.0
-        enough = 0.0 if self.space.enough is None else jnp.maximum(self.space.enough, 0.0)
-
-        def closer(found: Found) -> Found:
-            told = walked(start, enough)
-            crossing = (told.distance <= 0.0) | (told.distance < nearest.distance)
-            if held is not None:
-                apart = near & ~crossing & (nearest.distance < 0.0)
-                crossing |= apart & lax.cond(apart, held, lambda: jnp.zeros((), bool))
-            return nearest_of(found, either(crossing, nearest, told))
-
-        return lax.cond(near, closer, lambda found: nearest, found)
-
-    @staticmethod
-    def start(nearest: Found, bound: Any) -> Found:
-        """No pair yet at a `bound` [m], of volumes that are nearer; -1 of others, which walk along, and have found enough."""
-        start = nearest._replace(distance=jnp.where(nearest.distance < bound, jnp.maximum(bound, TOUCH), -1.0))
-        if nearest.mine is None:
-            return start
-        return start._replace(mine=jnp.full_like(nearest.mine, -1), other=jnp.full_like(nearest.other, -1))
-
-    def frame(self, p: Any) -> Frame:
-        """The frame of a part's joint."""
-        return Frame.of_entries(traced(entry(self.space.frames, entry(self.space.trees.joint, p))))
-
-    def touch(self, found: Found) -> Any:
-        """Where the two of a pair that was found touch, if that has to be found first; without derivatives."""
-        return None
-
-    def pair(self, i: Any, other: Any, gap: Gap, touch: Any) -> tuple[Any, Any]:
-        """Number i and what a `gap` measures it to, an obstacle or another number, as volumes; numbers may differ between
-        lanes."""
-        return self.space.volume(self, i), other if isinstance(other, tuple) else self.space.volume(self, other)
-
-    def apart(self, gap: Gap) -> Gap:
-        """The gap that tells how far two are apart."""
-        return gap

@@ -109,12 +109,6 @@ class Triangles(Kind):
     solid: Float[Array, " k"]
 
 
-def no_triangles() -> Triangles:
-    """The triangles of a scene that has none."""
-    a, b, c = np.zeros((3, 0, 3))
-    return Triangles(a, b, c, np.zeros(0))
-
-
 class Mark(Constant):
     """A named place in a scene, where the tip may be sent: `position` [m], and the `axis` (unit) that it may turn about."""
 
@@ -137,17 +131,12 @@ class Scene(Constant):
     capsules: Capsules
     boxes: Boxes
     cylinders: Cylinders
+    triangles: Triangles
     marks: tuple[Mark, ...] = ()
     name: str = static(default="scene")
     object_names: tuple[str, ...] = static(default=())
     removable: tuple[bool, ...] = static(default=())
     owners: tuple[tuple[int, ...], ...] = static(default=((),) * len(KINDS))
-    triangles: Triangles = dataclasses.field(default_factory=no_triangles)  # last: scenes of before had none
-
-    def freeze(self) -> None:
-        owners = (*self.owners, *[()] * (len(KINDS) - len(self.owners)))
-        vars(self).update({"triangles": no_triangles(), **vars(self), "owners": owners})
-        super().freeze()
 
     def by_kind(self) -> Iterator[tuple[str, Any, np.ndarray]]:
         """Yields the name of each kind, the obstacles, and the object (k,) that each of them belongs to, -1 for none."""

@@ -95,12 +95,12 @@ class SceneBuilder:
             Capsules(capsules[:, :3], capsules[:, 3:6], capsules[:, 6]),
             Boxes(boxes[:, :16].reshape(-1, 4, 4), boxes[:, 16:] / 2.0),
             Cylinders(cylinders[:, :16].reshape(-1, 4, 4), cylinders[:, 16], cylinders[:, 17] / 2.0),
+            Triangles(triangles[:, :3], triangles[:, 3:6], triangles[:, 6:9], triangles[:, 9]),
             tuple(self.marks),
             name=self.name,
             object_names=tuple(self.removable),
             removable=tuple(self.removable.values()),
             owners=tuple(tuple(self.owners[k]) for k in KINDS),
-            triangles=Triangles(triangles[:, :3], triangles[:, 3:6], triangles[:, 6:9], triangles[:, 9]),
         )
         remembered(scene, "checked", lambda: None)  # as each obstacle was
         return scene

@@ -12,6 +12,7 @@ from jaxik.collision.volumes import skeletons
 from jaxik.kinematics.robot import Robot, solid_links
 from jaxik.spatial.algebra import BASE
 
+SAMPLES = 512  # random configurations
 STILL = 1e-9  # [m] by which a distance that no joint changes changes all the same
 
 
@@ -36,7 +37,7 @@ def candidate_pairs(
 
 
 def self_collisions(
-    robot: Robot, disabled: frozenset[frozenset[str]] = frozenset(), aside: Collection[str] = (), samples: int = 512
+    robot: Robot, disabled: frozenset[frozenset[str]] = frozenset(), aside: Collection[str] = ()
 ) -> SelfCollisions:
     """The pairs of links worth a check against each other.
 
@@ -48,7 +49,7 @@ def self_collisions(
     if not pairs:
         return SelfCollisions((), (), 0.0)
     rng = np.random.default_rng(0)
-    q = np.vstack([rng.uniform(*robot.finite_limits, (samples, robot.num_joints)), default_pose(robot)])
+    q = np.vstack([rng.uniform(*robot.finite_limits, (SAMPLES, robot.num_joints)), default_pose(robot)])
     columns = [q[:, i, None] for i in range(robot.num_joints)]
     balls = []
     for count, skeleton in skeletons(robot, columns, np.float64, BASE).items():

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import reduce
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxik.collision import distance
-from jaxik.collision.volumes import Skeleton
-from jaxik.spatial.algebra import Frame, Vec3
+from jaxik.spatial.algebra import Frame, Rot3, Vec3, safe_sqrt
 
 Gap = Callable[[Any, Any], Any]
 
@@ -73,6 +72,26 @@ def along(skeleton: tuple[Vec3, ...], at: Any) -> Vec3:
     return reduce(Vec3.__add__, [corner * weight for corner, weight in zip(skeleton, weights, strict=True)])
 
 
+def pulled(gap: Gap, own: Any, other: Any) -> tuple[Any, tuple[Vec3, ...], Vec3]:
+    """A volume's distance, its slope by each of the volume's corners, and their sum: the force with which it pulls."""
+    corners, radius = own
+    value, back = jax.vjp(lambda corners: gap((corners, radius), other), corners)
+    (slopes,) = back(jnp.ones_like(value))
+    return value, slopes, reduce(Vec3.__add__, slopes)
+
+
+def nearest_points(gap: Gap, own: Any, other: Any) -> tuple[Vec3, Vec3]:
+    """Where a volume and another are nearest: on the volume, and on the other [m].
+
+    A step f along the shortest way raises the distance by |f|, and corner c of the skeleton carries the share `f_c . f` of it,
+    which is the weight of the corner in the point of the skeleton that is nearest.
+    """
+    (corners, radius), (value, slopes, force) = own, pulled(gap, own, other)
+    share = lambda slope: jnp.where(force.dot(force) > 0.0, slope.dot(force), 1.0 / len(corners))
+    nearest = reduce(Vec3.__add__, [c * share(f) for c, f in zip(corners, slopes, strict=True)])
+    return nearest - force * radius, nearest - force * (radius + value)
+
+
 def obstacles_of(kind: str, rows: Mapping[str, Any], dtype: Any, xp: Any = jnp) -> tuple[Gap, Any]:
     """The gap to an obstacle of a kind, and those that have these `rows`, the fields of the scene's, as columns: JAX's, or
     NumPy's, which cost 0.1 ms less each."""
@@ -88,7 +107,45 @@ def obstacles_of(kind: str, rows: Mapping[str, Any], dtype: Any, xp: Any = jnp) 
     return skeleton_gap, (corners, xp.broadcast_to(xp.asarray(rows["radius"], dtype), corners[0].x.shape))
 
 
-def columns_of(skeleton: Skeleton) -> tuple[tuple[Vec3, ...], Any]:
-    """Volumes as the gaps take them, in NumPy's float64."""
-    corners = tuple(Vec3(*(np.asarray(x, np.float64) for x in corner)) for corner in skeleton.corners)
-    return corners, np.asarray(skeleton.radius, np.float64)
+class Core(NamedTuple):
+    """An obstacle without its radius: the hull of `corners`, a box of `half` edges about each of their points, and a disc of
+    radius `ring` about each of these, across z, both turned; None for what it has not."""
+
+    corners: tuple[Vec3, ...]
+    turn: Rot3 | None = None
+    half: Vec3 | None = None
+    ring: Any = None
+
+    @staticmethod
+    def of(gap: Gap, row: Any) -> tuple[Core, Any]:
+        """The core of an obstacle, as a `gap` measures to it, and its radius."""
+        if gap is box_gap:
+            turn, center, half = row
+            return Core((center,), turn, half), 0.0
+        if gap is cylinder_gap:
+            turn, center, ring, half = row
+            return Core((center,), turn, Vec3(0.0 * half, 0.0 * half, half), ring), 0.0
+        corners, size = row
+        return Core(corners), size if gap is skeleton_gap else 0.0  # of a triangle that says whether it is a solid's
+
+    def whole(self) -> Core:
+        """The same with all that a core may have."""
+        zero, one = 0.0 * self.corners[0].x, 0.0 * self.corners[0].x + 1.0
+        plain = Rot3(Vec3(one, zero, zero), Vec3(zero, one, zero), Vec3(zero, zero, one))
+        corners = self.corners + (self.corners[-1],) * (3 - len(self.corners))
+        return Core(corners, self.turn or plain, self.half or Vec3(zero, zero, zero), zero if self.ring is None else self.ring)
+
+    def farthest(self, along: Vec3) -> Vec3:
+        """The farthest point along a direction."""
+        best = self.corners[0]
+        for corner in self.corners[1:]:
+            farther = corner.dot(along) > best.dot(along)
+            best = Vec3(*(jnp.where(farther, x, y) for x, y in zip(corner, best, strict=True)))
+        if self.turn is None or self.half is None:
+            return best
+        local = self.turn.T @ along
+        beside = Vec3(*(jnp.where(x < 0.0, -h, h) for x, h in zip(local, self.half, strict=True)))
+        if self.ring is not None:
+            share = self.ring / jnp.maximum(safe_sqrt(local.x * local.x + local.y * local.y), 1e-30)
+            beside = beside + Vec3(local.x * share, local.y * share, 0.0 * share)
+        return best + self.turn @ beside

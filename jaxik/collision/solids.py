@@ -63,7 +63,7 @@ class Solids:
 
                 def sample(m: Any, found: Found) -> Found:
                     row, at = i * volumes.size + m // count, (m % count).astype(space.dtype) * pace
-                    corners, radius = row_at((placed.corners, placed.radius), row)
+                    corners, radius = row_at(placed.volumes, row)
                     point = along(corners, at)
                     inside = lambda found: self._of_point(point, radius, found, (origin + row, at))
                     look = lambda found: self._if_within((point, jnp.zeros((), space.dtype)), inside, found)

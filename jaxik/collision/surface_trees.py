@@ -18,6 +18,7 @@ from jax import lax
 
 from jaxik.collision import distance, surfaces
 from jaxik.collision.leaf_rows import Found, entry, nearest_of
+from jaxik.collision.scene import with_zeros
 from jaxik.kinematics.shapes import Surface
 from jaxik.spatial.algebra import Frame, Vec3, traced
 
@@ -51,13 +52,17 @@ def order_of(triangles: np.ndarray) -> np.ndarray:
     count = len(triangles)
     middle, order = (triangles.max(axis=1) + triangles.min(axis=1)) / 2.0, np.arange(count)
     for level in range(_levels(count)):
-        ends, here = _cuts(count, level), middle[order]
-        filled = np.flatnonzero(np.diff(ends))
-        extent = np.maximum.reduceat(here, ends[filled]) - np.minimum.reduceat(here, ends[filled])
-        segment = np.repeat(np.arange(len(filled)), np.diff(ends)[filled])
-        along = here[np.arange(count), extent.argmax(axis=1)[segment]]
-        order = order[np.lexsort((along, segment))]
+        order = across(middle, order, np.unique(_cuts(count, level)))
     return order
+
+
+def across(points: np.ndarray, order: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """An order of points (k, 3) in which each run, from one of the `ends` to the next, is sorted across its longest extent."""
+    here, starts = points[order], ends[:-1]
+    extent = np.maximum.reduceat(here, starts) - np.minimum.reduceat(here, starts)
+    segment = np.repeat(np.arange(len(starts)), np.diff(ends))
+    along = here[np.arange(len(here)), extent.argmax(axis=1)[segment]]
+    return np.asarray(order[np.lexsort((along, segment))])
 
 
 def surface_of(link: int, shapes: Iterable[tuple[np.ndarray, float]]) -> Surface:
@@ -106,11 +111,10 @@ def roomy(tree: Trees, room: int = 0) -> Trees:
     """The same in arrays as long as for `room` triangles, so that one kernel serves many."""
     room = next(n for n in ROOMS if n >= max(len(tree.corners), room))
     run = max(-(-room // 2**MOST), 1)
-    filled = lambda x, most: np.concatenate([x, np.zeros((most - len(x), *x.shape[1:]), x.dtype)])
     leaves = np.pad(tree.leaves, ((0, 0), (0, run - tree.leaves.shape[1])), "edge")
-    corners, radius, solid = (filled(x, room) for x in (tree.corners, tree.radius, tree.solid))
+    corners, radius, solid = (with_zeros(x, room, np) for x in (tree.corners, tree.radius, tree.solid))
     most = min(2 * room, 2**MOST)  # leaves
-    boxes, leaves = filled(tree.boxes, 2 * most), filled(leaves, most)
+    boxes, leaves = with_zeros(tree.boxes, 2 * most, np), with_zeros(leaves, most, np)
     return Trees(corners, radius, solid, boxes, leaves, tree.heap, tree.leaf, tree.levels)
 
 

@@ -41,17 +41,9 @@ def as_shells(triangles: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
 
     What closes as it is stays so: then a surface inside of another, seen from there, hollows it out. Others are turned as
     `as_bodies` turns them."""
-    faces, found = _faces(triangles), []
-    for rows in _connected(faces):
-        own, solid = triangles[rows], np.ones(len(rows), bool)
-        if not closes(faces[rows]):
-            body, flip = _body(faces, triangles, rows)
-            solid = np.isin(rows, body) & (flip is not None)
-            if flip is not None:
-                turned = np.isin(rows, body[flip])
-                own = np.where(turned[:, None, None], own[:, ::-1], own)
-        found.append((own, solid))
-    return found
+    faces, (turned, solid) = _faces(triangles), as_bodies(triangles)
+    whole = lambda rows: (triangles[rows], np.ones(len(rows), bool))
+    return [whole(rows) if closes(faces[rows]) else (turned[rows], solid[rows] > 0.0) for rows in _connected(faces)]
 
 
 def _faces(triangles: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxik.checks.options import among
 from jaxik.files.robot_builder import Joint, checked, displacement, listed
-from jaxik.fitting.report import HeldJoint
+from jaxik.fitting.model import HeldJoint
 from jaxik.reasons import LoadError
 
 MASTERS = 100  # in a row, each driven by the next

@@ -26,8 +26,7 @@ from jaxik.files.unchecked_pairs import asked_pairs, disabled_pairs, ignored
 from jaxik.files.urdf import load_urdf
 from jaxik.fitting.capsules import FitOptions
 from jaxik.fitting.links import Shape, link_surfaces
-from jaxik.fitting.model import modelled
-from jaxik.fitting.report import FitReport, fit_of
+from jaxik.fitting.model import FitReport, fit_of, modelled
 from jaxik.kinematics.robot import Robot, solid_links
 from jaxik.options import Options, anything, flag, instance
 from jaxik.reasons import LoadError

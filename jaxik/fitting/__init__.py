@@ -2,6 +2,6 @@
 
 from jaxik.fitting.capsules import FitOptions
 from jaxik.fitting.links import Shape
-from jaxik.fitting.report import FitReport, HeldJoint, LinkFit, PairFit
+from jaxik.fitting.model import FitReport, HeldJoint, LinkFit, PairFit
 
 __all__ = ["FitOptions", "FitReport", "HeldJoint", "LinkFit", "PairFit", "Shape"]

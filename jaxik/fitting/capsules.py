@@ -20,7 +20,8 @@ import numpy as np
 from jax import lax
 
 from jaxik.collision.leaf_rows import entry
-from jaxik.fitting.convex import directions, hull_of
+from jaxik.collision.scene import with_zeros
+from jaxik.fitting.bodies import edges_of, extremes, hull_of, sides
 from jaxik.options import Options, count, number
 from jaxik.spatial.algebra import Vec3, traced
 from jaxik.spmd import HostKernel
@@ -104,7 +105,7 @@ def fitted(points: np.ndarray, fit: FitOptions) -> Fitted:
 
 def _room(hull: _Hull, accuracy: float, rounding: float) -> _Hull:
     """The planes that capsules should keep behind: some faces of the hull, moved out."""
-    few = np.unique((hull.normals @ directions(2 * POINTS).T).argmax(axis=0))
+    few = extremes(hull.normals, 2 * POINTS)
     return _Hull(hull.normals[few], hull.offsets[few] + accuracy - rounding, hull.middle)
 
 
@@ -128,16 +129,11 @@ def _convex(points: np.ndarray, unit: float) -> tuple[np.ndarray, _Hull]:
     return corners, _Hull(normals, offsets, corners.mean(axis=0))
 
 
-def _along(points: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Where on the line between `ends` each point is nearest, 0 to 1."""
-    line = ends[1] - ends[0]
-    return np.asarray(np.clip((points - ends[0]) @ line / max(float(line @ line), 1e-18), 0.0, 1.0))
-
-
 def away(points: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """The ways from the line between `ends` to points (p, 3)."""
-    t = _along(points, ends)[:, None]
-    return points - (1.0 - t) * ends[0] - t * ends[1]
+    line = ends[1] - ends[0]
+    t = np.clip((points - ends[0]) @ line / max(float(line @ line), 1e-18), 0.0, 1.0)[:, None]
+    return np.asarray(points - (1.0 - t) * ends[0] - t * ends[1])
 
 
 def _sides(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -152,7 +148,7 @@ def _around(parts: Sequence[np.ndarray], hull: _Hull, room: _Hull) -> list[_Piec
     """The capsules about some pieces whose excess is small."""
     starts, few, counts = np.zeros((len(parts), 6)), np.zeros((len(parts), POINTS, 3)), np.zeros(len(parts), np.int32)
     for k, corners in enumerate(parts):
-        some = corners[np.unique((corners @ directions(POINTS).T).argmax(axis=0))] if len(corners) > POINTS else corners
+        some = corners[extremes(corners, POINTS)] if len(corners) > POINTS else corners
         few[k, : len(some)], counts[k] = some, len(some)
         axes, low, high = _sides(corners)
         half = (high - low) / 2.0
@@ -160,7 +156,7 @@ def _around(parts: Sequence[np.ndarray], hull: _Hull, room: _Hull) -> list[_Piec
         centre = (low + high) / 2.0 @ axes
         starts[k] = np.concatenate([centre - reach, centre + reach])
     size = next((n for n in ROOMS if n >= len(room.offsets)), len(room.offsets))
-    behind = [np.concatenate([x, np.zeros((size - len(x), *x.shape[1:]))]) for x in (room.normals, room.offsets)]
+    behind = [with_zeros(x, size, np) for x in (room.normals, room.offsets)]
     (found,) = in_blocks(DESCENT, starts, few, counts, fixed=(*behind, np.int32(len(room.offsets))), double=True)
     return [
         min((_measured(x.reshape(2, 3), corners, hull, room) for x in ends), key=lambda piece: piece.excess)
@@ -182,8 +178,9 @@ def _measured(ends: np.ndarray, corners: np.ndarray, hull: _Hull, room: _Hull) -
 def _divided(corners: np.ndarray, hull: _Hull, room: _Hull) -> list[_Piece]:
     """Two pieces in place of one, cut in the middle of one of its longer sides."""
     axes, low, high = _sides(corners)
-    sides = [side for side in zip(axes, low, high, strict=True) if side[2] - side[1] >= WORTH * (high[0] - low[0])]
-    cuts = [part for axis, start, end in sides for part in _cut(corners, axis, (start + end) / 2.0)]
+    longer = [side for side in zip(axes, low, high, strict=True) if side[2] - side[1] >= WORTH * (high[0] - low[0])]
+    edges = _edges(corners)
+    cuts = [part for axis, start, end in longer for part in sides(corners, edges, corners @ axis - (start + end) / 2.0)]
     pieces = _around(cuts, hull, room)
     return min((pieces[k : k + 2] for k in range(0, len(pieces), 2)), key=_worth)
 
@@ -194,24 +191,12 @@ def _worth(pair: Sequence[_Piece]) -> float:
     return max(worse, 0.0) + 0.25 * max(better, 0.0) + 1e-3 * (worse + better)
 
 
-def _cut(corners: np.ndarray, normal: np.ndarray, offset: float) -> list[np.ndarray]:
-    """The corners of both parts of a convex piece on either side of a plane."""
-    side = corners @ normal - offset
-    edges = _edges(corners)
-    edges = edges[side[edges[:, 0]] * side[edges[:, 1]] < 0.0]
-    a, b = edges.T
-    t = (side[a] / (side[a] - side[b]))[:, None]
-    between = corners[a] + t * (corners[b] - corners[a])
-    return [np.concatenate([corners[keep], between]) for keep in (side >= 0.0, side <= 0.0)]
-
-
 def _edges(corners: np.ndarray) -> np.ndarray:
     """Pairs of corners, the edges of their hull among them."""
     hull = hull_of(corners)
     if hull is None:  # too thin: all pairs, whose hull is the same
         return np.stack(np.triu_indices(len(corners), 1), axis=1)
-    pairs = hull.simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    return np.unique(np.sort(pairs, axis=1), axis=0)
+    return np.unique(np.sort(edges_of(hull.simplices), axis=1), axis=0)
 
 
 def _value(x: Any, corners: Any, count: Any, normals: Any, offsets: Any, planes: Any, temperature: float) -> tuple[Any, Any]:

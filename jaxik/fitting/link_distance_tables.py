@@ -16,7 +16,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ import numpy as np
 from jax import lax
 
 from jaxik.collision.leaf_rows import entry
-from jaxik.fitting.convex import (
+from jaxik.fitting.bodies import (
     Body,
     apart_at_least,
     gaps,
@@ -82,21 +82,20 @@ def excess(
         more = (1.0 - seen[1 - own][2]) * (0.5 * (outer + inner * mine) * other**2 + inner * mine * other)
         return n.dot(p), falls, arc, arc + more
 
-    def lower(i: Any, least: Any) -> Any:  # of b: with both joints, with its own, with none
-        height, falls, arc, arcs = reach(frame @ Vec3(*traced(entry(b, i))), 1)
-        both = [height - (falls[0][s] + falls[1][t] + arcs) for s, t in QUARTERS]
-        alone = [height - (falls[1][t] + arc) for t in (0, 1)]
-        return tuple(jnp.minimum(x, y) for x, y in zip((*both, *alone, height), least, strict=True))
+    def outermost(corners: Any, count: Any, own: int, placed: Callable[[Vec3], Vec3]) -> tuple[Any, ...]:
+        """How far up or, of b, down corners reach at most: with both joints, with their own, with none."""
+        sign = 2 * own - 1
 
-    def upper(i: Any, most: Any) -> Any:  # of a: with both joints, with its own, with none
-        height, falls, arc, arcs = reach(Vec3(*traced(entry(a, i))), 0)
-        both = [height + (falls[0][s] + falls[1][t] + arcs) for s, t in QUARTERS]
-        alone = [height + (falls[0][s] + arc) for s in (0, 1)]
-        return tuple(jnp.maximum(x, y) for x, y in zip((*both, *alone, height), most, strict=True))
+        def further(i: Any, least: Any) -> Any:
+            height, falls, arc, arcs = reach(placed(Vec3(*traced(entry(corners, i)))), own)
+            both = [sign * height - (falls[0][s] + falls[1][t] + arcs) for s, t in QUARTERS]
+            alone = [sign * height - (falls[own][s] + arc) for s in (0, 1)]
+            return tuple(jnp.minimum(x, y) for x, y in zip((*both, *alone, sign * height), least, strict=True))
 
-    infinite = jnp.zeros_like(distance) + jnp.inf
-    low = lax.fori_loop(jnp.int32(0), count_b, lower, (infinite,) * 7)
-    high = lax.fori_loop(jnp.int32(0), count_a, upper, (-infinite,) * 7)
+        infinite = jnp.zeros_like(distance) + jnp.inf
+        return tuple(sign * x for x in lax.fori_loop(jnp.int32(0), count, further, (infinite,) * 7))
+
+    high, low = outermost(a, count_a, 0, lambda p: p), outermost(b, count_b, 1, lambda p: frame @ p)
     apart = [
         jnp.maximum(jnp.maximum(low[k] - high[6], low[4 + t] - high[4 + s]), low[6] - high[k])
         for k, (s, t) in enumerate(QUARTERS)

@@ -18,11 +18,10 @@ import numpy as np
 
 from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.collision.surface_trees import surface_of
+from jaxik.fitting.bodies import Body, apart_at_least, depths, gaps, hull_of, separated, touching
 from jaxik.fitting.capsules import FitOptions
-from jaxik.fitting.convex import Body, apart_at_least, depths, gaps, hull_of, separated
 from jaxik.fitting.link_distance_tables import Places, between, frames
 from jaxik.fitting.parts import best_cut, divided, divisions
-from jaxik.fitting.surfaces import touching
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.shapes import Surface, Unchecked, UncheckedReason, fan
 from jaxik.spmd.batch import threads
@@ -129,15 +128,15 @@ class Links:
         """The bodies of a pair of links, each with each."""
         return [(self.bodies[i][1], self.bodies[j][1]) for i, j in itertools.product(*map(self.of, pair))]
 
-    def passes(self, pair: Pair, near: float = NEAR) -> list[Pass]:
-        """Where bodies of a pair of links come nearer than `near` [m]."""
+    def passes(self, pair: Pair) -> list[Pass]:
+        """Where bodies of a pair of links come nearer than `NEAR` [m]."""
         turn, place = between(self.robot, pair, self.frames)
         found = []
         for i, j in itertools.product(*map(self.of, pair)):
             a, b = self.bodies[i][1], self.bodies[j][1]
-            rows = np.flatnonzero(apart_at_least(a, b, turn, place) < near)
-            gap = separated(a, b, turn[rows], place[rows], near)[0]
-            close = gap < near
+            rows = np.flatnonzero(apart_at_least(a, b, turn, place) < NEAR)
+            gap = separated(a, b, turn[rows], place[rows], NEAR)[0]
+            close = gap < NEAR
             found.append(Pass(i, j, rows[close], gap[close]))
         return found
 

@@ -1,12 +1,14 @@
 """A robot's collision model from its links' shapes: the pairs of links to check, convex parts, and capsules for what is far.
 
-The truth is the surface of each shape (`surfaces`): it decides which pairs of links are checked, in random configurations. The
+The truth is the surface of each shape (`bodies`): it decides which pairs of links are checked, in random configurations. The
 model holds each shape by its convex parts (`parts`), cut where other links pass, which decide where links are near. For what is
 far there are capsules, around few of these parts: those that a shape is cut into first, by volume.
 
 Links whose capsules often touch where they do not get a table of their parts' distance beside (`link_distance_table`), where
 two joints decide it: those between, or those that are left when the link before or behind is taken for what it sweeps by its
 own turn.
+
+A report judges the model: how far it stands out of the meshes, what is checked, and what it says falsely.
 """
 
 from __future__ import annotations
@@ -21,8 +23,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.collision import distance
-from jaxik.fitting.capsules import FitOptions, Fitted, fitted, joined
-from jaxik.fitting.convex import Body
+from jaxik.collision.surface_trees import closes
+from jaxik.fitting.bodies import Body, directions, distances
+from jaxik.fitting.capsules import FitOptions, Fitted, away, fitted, joined
 from jaxik.fitting.link_distance_tables import between, side_of, table_of
 from jaxik.fitting.links import NEAR, NOTHING_ASKED, Asked, Hits, Links, Pair, Pass, Shape
 from jaxik.fitting.parts import few_corners
@@ -38,6 +41,7 @@ GROWN, LEAST_GROWTH = 0.1, 2e-5  # of the least gap to others, and [m]: how far 
 SPARED = 0.003  # of the configurations, the closest, that are no measure of a gap
 LEAST = 3  # capsules that a part may have, of however many
 TABLED = 0.02  # of the configurations, in which capsules falsely collide that get a table
+SAMPLED = 2000  # points of a mesh's surface, and of a model's
 _VERSION = 32  # of what is stored
 
 
@@ -195,3 +199,103 @@ class _Fitting(Links):
 
 # of the line between `a` and `b`, and of each from `start` to `end`
 _GAPS = HostKernel(lambda start, end, a, b: distance.segment_segment(*(Vec3(*x) for x in (a, b, start, end))), 2)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# The report
+
+
+class LinkFit(NamedTuple):
+    """One mesh in a `fit_report`: its link, its name, the numbers of its convex parts and capsules; whether it closes, which is
+    what has an inside; the share of the mesh's surface that the capsules cover; how far their common surface is from the mesh
+    [m], at most and in the mean; and the share of random configurations in which the link falsely collides."""
+
+    link: str
+    mesh: str
+    parts: int
+    capsules: int
+    closes: bool
+    coverage: float
+    protrusion: float
+    mean: float
+    false: float
+
+
+class PairFit(NamedTuple):
+    """Two links in a `fit_report`: why they are not checked, "" if they are (`Unchecked`); in which share of the random
+    configurations their meshes touch; and in which the model alone says so."""
+
+    links: tuple[str, str]
+    unchecked: str
+    touch: float
+    false: float
+
+
+class HeldJoint(NamedTuple):
+    """A joint beside the chain in a `fit_report`: the `value` at which it is held [rad, m], NaN for one of a type without a
+    single value; the joint of the chain that drives it (a mimic joint), "" if none does; and the links behind it that have
+    shapes, whose collisions are those at this value alone."""
+
+    joint: str
+    value: float
+    driven: str
+    links: tuple[str, ...]
+
+
+class FitReport(NamedTuple):
+    """A robot's collision model: one `LinkFit` a mesh, one `PairFit` a pair of links that move against each other, and one
+    `HeldJoint` a joint beside the chain, such as a hand's, which does not move."""
+
+    links: tuple[LinkFit, ...]
+    pairs: tuple[PairFit, ...]
+    held: tuple[HeldJoint, ...] = ()
+
+
+def fit_of(robot: Robot, shapes: Sequence[Shape], model: Model, held: Sequence[HeldJoint] = ()) -> FitReport:
+    """The report on a model of some shapes, while some joints are held."""
+    links = []
+    for number, shape in enumerate(shapes):
+        all_of, triangles = model.fits[number], shape.corners[shape.triangles]
+        false, measured = model.false_by_link.get(shape.link, 0.0), _measured(shape, all_of)
+        told = robot.link_names[shape.link], shape.name, len(model.bodies[number]), len(all_of.radii), closes(triangles)
+        links.append(LinkFit(*told, *measured, false))
+    names = lambda pair: (robot.link_names[pair[0]], robot.link_names[pair[1]])
+    pairs = [PairFit(names(p), "", model.touch[p], model.false_by_pair[p]) for p in model.pairs]
+    pairs += [PairFit(u.links, u.reason, u.share, 0.0) for u in model.unchecked if u.reason != "fixed"]
+    return FitReport(tuple(links), tuple(pairs), tuple(held))
+
+
+def _measured(shape: Shape, found: Fitted) -> tuple[float, float, float]:
+    """Coverage, and how far the model's surface is from the mesh at most and in the mean."""
+    mesh, model = surface(shape), outer(found)
+    covered = np.min([np.linalg.norm(away(mesh, e), axis=1) - r for e, r in zip(found.ends, found.radii, strict=True)], axis=0)
+    away_from = distances(shape.corners[shape.triangles], model) if len(shape.triangles) and len(model) else np.zeros(1)
+    return float(np.mean(covered <= 0.0)), float(away_from.max()), float(away_from.mean())
+
+
+def surface(shape: Shape) -> np.ndarray:
+    """Points spread over a shape's triangles, and its corners."""
+    points, faces = shape.corners, shape.triangles
+    if not len(faces):
+        return points
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    rng = np.random.default_rng(0)
+    which = rng.choice(len(faces), SAMPLED, p=area / area.sum())
+    u, v = rng.uniform(size=(2, SAMPLED, 1))
+    u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
+    return np.concatenate([points, a[which] + u * (b - a)[which] + v * (c - a)[which]])
+
+
+def outer(found: Fitted) -> np.ndarray:
+    """Points of the capsules' common surface."""
+    along, around = np.linspace(0.0, 1.0, 9), directions(128)
+    kept: list[np.ndarray] = []
+    for i, (ends, radius) in enumerate(zip(found.ends, found.radii, strict=True)):
+        line = (1.0 - along[:, None]) * ends[0] + along[:, None] * ends[1]
+        points = (line[:, None] + radius * around).reshape(-1, 3)
+        widths = found.radii - 1e-6 * (np.arange(len(found.radii)) == i)  # a sphere's sample may lie in its own capsule
+        inside = [np.linalg.norm(away(points, other), axis=1) < width for other, width in zip(found.ends, widths, strict=True)]
+        kept.append(points[~np.any(inside, axis=0)])
+    points = np.concatenate(kept)
+    return points[:: max(len(points) // SAMPLED, 1)]

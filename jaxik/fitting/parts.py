@@ -13,11 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.fitting.convex import Body, directions, hull_corners, hull_of
-from jaxik.fitting.surfaces import distances
+from jaxik.fitting.bodies import Body, crossing, distances, edges_of, extremes, hull_corners, hull_of, sides
 
 PLACES = np.linspace(0.0, 1.0, 10)[1:-1]  # along an axis, where cuts are tried
-LOOK = directions(80)  # whose extreme points stand for a piece while cuts are compared
+LOOK = 80  # directions whose extreme points stand for a piece while cuts are compared
 HOLLOW = 0.8  # of its hull, that a surface encloses which is cut without gain
 SAVING = 0.01  # of the whole hull's volume, which a cut is worth
 FEWEST = 14  # directions whose extreme corners a body keeps in any case
@@ -80,7 +79,7 @@ def divisions(corners: np.ndarray, faces: np.ndarray, most: int) -> list[list[Pi
 def few_corners(points: np.ndarray, tolerance: float) -> Body:
     """A body around the hull of points (p, 3) [m] with fewer corners, all of them its own, that stands out by a radius of
     `tolerance` at most."""
-    few = np.unique((points @ directions(FEWEST).T).argmax(axis=0))
+    few = extremes(points, FEWEST)
     while len(few) < len(points) and (hull := hull_of(points[few])) is not None:
         outside = points @ hull.equations[:, :3].T + hull.equations[:, 3]
         beyond = np.where(outside.max(axis=1) > 0.0, distances(points[few][hull.simplices], points), 0.0)
@@ -110,11 +109,13 @@ def _cuts(piece: Piece) -> Iterator[Cut]:
     hull = hull_of(piece.corners)
     if hull is None:
         return
+    edges = edges_of(piece.faces)
     spread = piece.corners[hull.vertices] - piece.corners[hull.vertices].mean(axis=0)
     for normal in np.linalg.eigh(spread.T @ spread)[1].T:
         height = piece.corners @ normal
         for place in height.min() + PLACES * np.ptp(height):
-            yield Cut(normal, float(place), _sides(piece, height - place))
+            above, below = map(_few, sides(piece.corners, edges, height - place))
+            yield Cut(normal, float(place), (above, below))
 
 
 def _halving(piece: Piece) -> Cut:
@@ -137,22 +138,7 @@ def _volume(points: np.ndarray) -> float:
 
 
 def _few(points: np.ndarray) -> np.ndarray:
-    return points[np.unique((points @ LOOK.T).argmax(axis=0))] if len(points) > len(LOOK) else points
-
-
-def _sides(piece: Piece, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The corners on either side of a plane that is `height` (p,) below each, and those that it cuts into edges."""
-    pairs = piece.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    a, b = pairs[height[pairs[:, 0]] * height[pairs[:, 1]] < 0.0].T
-    between = _crossing(piece.corners, height, a, b)
-    above, below = (_few(np.concatenate([piece.corners[keep], between])) for keep in (height >= 0.0, height <= 0.0))
-    return above, below
-
-
-def _crossing(corners: np.ndarray, height: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Where the edges from corners a to corners b cross a plane."""
-    t = (height[a] / (height[a] - height[b]))[:, None]
-    return np.asarray(corners[a] + t * (corners[b] - corners[a]))
+    return points[extremes(points, LOOK)] if len(points) > LOOK else points
 
 
 def divided(piece: Piece, cut: Cut) -> list[Piece]:
@@ -166,11 +152,11 @@ def divided(piece: Piece, cut: Cut) -> list[Piece]:
     # its edges are cut at p and q; a third corner in the plane is cut at itself
     count = len(piece.corners)
     p, q = count + np.arange(len(f)), count + len(f) + np.arange(len(f))
-    corners = np.concatenate([piece.corners, *(_crossing(piece.corners, height, a, end) for end in (b, c))])
+    corners = np.concatenate([piece.corners, *(crossing(piece.corners, height, a, end) for end in (b, c))])
     tips, rests = np.stack([a, p, q], axis=1), np.concatenate([np.stack([p, b, c], axis=1), np.stack([p, c, q], axis=1)])
-    up, sides = height[a] > 0.0, []
+    up, found = height[a] > 0.0, []
     for keep, tip in zip(whole, (up, ~up), strict=True):
         faces = np.concatenate([piece.faces[keep], tips[tip], rests[np.tile(~tip, 2)]])
         used, number = np.unique(faces, return_inverse=True)
-        sides.append(Piece(corners[used], number.reshape(faces.shape)))
-    return [side for side in sides if len(side.faces)]
+        found.append(Piece(corners[used], number.reshape(faces.shape)))
+    return [side for side in found if len(side.faces)]

@@ -314,6 +314,13 @@ def test_value_and_gradient_where_a_distance_is_zero(dtype):
     assert abs(value + radii[40]) <= 64 * np.finfo(dtype).eps and np.all(np.isfinite(slope))
 
 
+class Flat(Space):
+    """A search that skips nothing."""
+
+    def _if(self, near, inside, found):
+        return inside(found)
+
+
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("name", ["p6r", "crops_v2"])
 def test_what_is_skipped_changes_no_bit(name, dtype, only_kernels):
@@ -321,9 +328,9 @@ def test_what_is_skipped_changes_no_bit(name, dtype, only_kernels):
     robot, rng = jaxik.load(name), np.random.default_rng(8)
     scene = grouped(_scene(rng), robot)
     kernels = []
-    for skips in (True, False):
+    for kind in (Space, Flat):
         both = lambda space: (space.all(tracked=True), space.each(lambda found: found.distance))
-        kernels.append(HostKernel(lambda q, s, skips=skips, both=both: both(Space(robot, s, q, skips)), 1))
+        kernels.append(HostKernel(lambda q, s, kind=kind, both=both: both(kind(robot, s, q)), 1))
     q = rng.uniform(robot.lower, robot.upper, (300, robot.num_joints)).astype(dtype)
     skipped, flat = (each.run(q, scene) for each in kernels)
     assert np.array_equal(skipped[0], flat[0]) and np.array_equal(skipped[-1], flat[-1])

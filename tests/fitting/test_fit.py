@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 import jaxik
 from jaxik.fitting import capsules as fitting
 from jaxik.fitting import model as robot_fit
+from jaxik.fitting.bodies import Body, overlap, separated
 from jaxik.fitting.capsules import FitOptions, fitted
-from jaxik.fitting.convex import Body, overlap, separated
 
 ROUNDING = 1e-9
 

@@ -12,9 +12,8 @@ from triangle_truth import in_coal, winding
 
 import jaxik
 from jaxik.collision.surface_trees import closes, order_of, roomy, surface_of, tree_of
-from jaxik.fitting.convex import rows_of
+from jaxik.fitting.bodies import _GAP, distances, rows_of, touching
 from jaxik.fitting.parts import divisions, few_corners
-from jaxik.fitting.surfaces import _GAP, distances, touching
 from jaxik.spmd.batch import in_blocks
 
 

@@ -1,9 +1,13 @@
-"""Convex bodies in many places at once: whether two of them touch, how far they are apart, and how deep they overlap.
+"""Convex bodies and surfaces in many places at once: whether two of them touch, and of bodies how far they are apart, and how
+deep they overlap.
 
-Kernels know one configuration each."""
+Surfaces touch where triangles cross, or one thing is inside of another: that is the truth, which no model decides. Kernels know
+one configuration each.
+"""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -11,9 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxik.collision import gjk
+from jaxik.collision import distance, gjk
 from jaxik.collision.gjk import farthest
-from jaxik.collision.leaf_rows import entry
+from jaxik.collision.leaf_rows import Found, entry
+from jaxik.collision.scene import with_zeros
+from jaxik.collision.surface_trees import Trees, order_of, roomy, surface_gap, tree_of, winds_around
+from jaxik.kinematics.shapes import Surface
 from jaxik.spatial.algebra import Frame, Vec3, safe_sqrt, traced
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
@@ -21,6 +28,7 @@ from jaxik.spmd.batch import in_blocks
 CLOSE = 1e-4  # of a distance, to which it is sought
 MANY = 400  # directions that are looked in for a way out
 ROOMS = (256, 4096)  # corners that kernels are made for
+NEAR = 1e-6  # [m] beyond what touches, where a walk through two surfaces' trees ends
 
 
 def separation(place: Any, least: Any, a: Any, count_a: Any, b: Any, count_b: Any) -> tuple[Any, Any]:
@@ -96,8 +104,7 @@ def rooms_of(*bodies: Body) -> tuple[Any, ...]:
     """The corners of each body, in arrays of one of a few lengths, which are compiled for, and their number."""
     most = max(len(body.corners) for body in bodies)
     room = next((n for n in ROOMS if n >= most), most)
-    filled = (np.concatenate([body.corners, np.zeros((room - len(body.corners), 3))]) for body in bodies)
-    return tuple(x for each, body in zip(filled, bodies, strict=True) for x in (each, np.int32(len(body.corners))))
+    return tuple(x for body in bodies for x in (with_zeros(body.corners, room, np), np.int32(len(body.corners))))
 
 
 def directions(count: int) -> np.ndarray:
@@ -105,6 +112,11 @@ def directions(count: int) -> np.ndarray:
     i = np.arange(count) + 0.5
     polar, turn = np.arccos(1.0 - 2.0 * i / count), np.pi * (1.0 + 5.0**0.5) * i
     return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)
+
+
+def extremes(points: np.ndarray, count: int) -> np.ndarray:
+    """The numbers of those points (p, 3) that are farthest in one of `count` directions."""
+    return np.unique((points @ directions(count).T).argmax(axis=0))
 
 
 def separated(a: Body, b: Body, turn: np.ndarray, place: np.ndarray, least: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
@@ -159,3 +171,76 @@ def hull_corners(points: np.ndarray) -> np.ndarray:
     """The points among (p, 3) that are corners of their convex hull; all of them where they are flat."""
     hull = hull_of(points)
     return points if hull is None else np.asarray(points[hull.vertices])
+
+
+def sides(corners: np.ndarray, edges: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The corners (p, 3) on either side of a plane, `height` (p,) below each, and where the plane cuts `edges` (e, 2)."""
+    a, b = edges[height[edges[:, 0]] * height[edges[:, 1]] < 0.0].T
+    between = crossing(corners, height, a, b)
+    return np.concatenate([corners[height >= 0.0], between]), np.concatenate([corners[height <= 0.0], between])
+
+
+def crossing(corners: np.ndarray, height: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Where the edges from corners a to corners b cross a plane."""
+    t = (height[a] / (height[a] - height[b]))[:, None]
+    return np.asarray(corners[a] + t * (corners[b] - corners[a]))
+
+
+def edges_of(faces: np.ndarray) -> np.ndarray:
+    """The edges (3 f, 2) of triangles (f, 3), as the numbers of their corners."""
+    return np.asarray(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Surfaces
+
+
+def touching(a: Surface, b: Surface, turn: np.ndarray, place: np.ndarray, room: int = 0) -> np.ndarray:
+    """Whether a surface touches another, which stands at `turn` (n, 3, 3) and `place` (n, 3) in its frame; or one holds a shape
+    of the other (n,). The same kernels serve all surfaces of at most `room` triangles."""
+    trees = [_tree(s, room) for s in (a, b)]
+    enough = np.full(len(place), NEAR)
+    (gap,) = in_blocks(_GAP, rows_of(turn, place), enough, fixed=tuple(trees), double=True)
+    found = gap <= 0.0
+    back = turn.transpose(0, 2, 1), -np.einsum("nji,nj->ni", turn, place)
+    for outer, tree, inner, at in ((a, trees[0], b, (turn, place)), (b, trees[1], a, back)):
+        if not outer.solid.any():
+            continue
+        for point in inner.corners[inner.points, 0]:
+            rows = np.flatnonzero(~found)
+            (turns,) = in_blocks(_WINDS, at[0][rows] @ point + at[1][rows], fixed=(tree,), double=True)
+            found[rows] = np.abs(turns) > 0.5
+    return found
+
+
+@functools.lru_cache(maxsize=64)
+def _tree(surface: Surface, room: int) -> Trees:
+    return roomy(tree_of(surface.corners, surface.radius, surface.solid), room)
+
+
+def distances(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """How far points (p, 3) are from the nearest of some triangles (t, 3, 3) [m]."""
+    tree = roomy(tree_of(triangles[order_of(triangles)]))
+    (found,) = in_blocks(_DISTANCE, points, fixed=(tree.corners, np.int32(len(triangles))), double=True)
+    return np.asarray(found)
+
+
+def _distance(point: Any, triangles: Any, count: Any) -> Any:
+    p = Vec3(*traced(point))
+
+    def step(i: Any, least: Any) -> Any:
+        return jnp.minimum(least, distance.point_triangle(p, *(Vec3(*traced(corner)) for corner in entry(triangles, i))))
+
+    return lax.fori_loop(jnp.int32(0), count, step, jnp.zeros_like(p.x) + jnp.inf)
+
+
+def _gap(place: Any, most: Any, a: Trees, b: Trees) -> Any:
+    first = jnp.int32(0)
+    return surface_gap(a, first, b, first, Frame.of_entries(traced(place)), Found(most)).distance
+
+
+def _winds(point: Any, tree: Trees) -> Any:
+    return winds_around(tree, jnp.int32(0), Vec3(*traced(point)))
+
+
+_GAP, _WINDS, _DISTANCE = HostKernel(_gap, 2), HostKernel(_winds, 1), HostKernel(_distance, 1)
