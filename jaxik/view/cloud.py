@@ -6,12 +6,14 @@ import functools
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 
 from jaxik.files.targets import as_frames
 from jaxik.kinematics.forward import pose_errors
 from jaxik.kinematics.robot import Robot
 from jaxik.sweeps.robot_variants import variant_name
+from jaxik.view.drawing import draw_points
 from jaxik.view.palette import SCALE, bar, rgb, swatches
 from jaxik.view.stage import Stage
 from jaxik.view.sweep_picture import Map, categories, open_store, variant_label, variant_map
@@ -98,8 +100,6 @@ class Cloud:
 
     def _colours(self, shown: Map, inside: np.ndarray, index: tuple[int, ...]) -> tuple[np.ndarray, str]:
         """A colour for each position, and the legend that explains them."""
-        import matplotlib
-
         what = self.colour.value
         if what == KINDS:
             found, kinds = categories(shown)
@@ -139,13 +139,6 @@ class Cloud:
         if len(found) and self.fits(index):
             q = np.asarray(self.group["q"][(*index, position * self.turns + int(found[0]))])
             self.page.move(q[np.isfinite(q)], _mount(self.group, index))
-
-
-def draw_points(scene: Any, name: str, points: np.ndarray, colours: Any, size: float) -> None:
-    """Points (p, 3) [m] of one colour, or each of its own; of none, one that is not seen."""
-    some = len(points) > 0
-    where, colours = (points, colours) if some else (np.zeros((1, 3)), (0, 0, 0))
-    scene.add_point_cloud(name, where, colours, point_size=size, point_shape="circle", visible=some)
 
 
 def store_of(robot: Robot, store: str | Path) -> Any:
