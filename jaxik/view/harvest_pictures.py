@@ -107,7 +107,11 @@ def _draw(axis: Any, result: HarvestResult, crop: _Crop, row: HarvestResult, i: 
         draw_solids(axis, arm, i, 2, facecolor=fill, edgecolor=ARM_EDGE, linewidth=1.6, zorder=1)
         draw_solids(axis, arm, i, 2, facecolor=fill, edgecolor="none", zorder=1.1)  # leaves the outer edge
         axis.plot(*placed[1:, [i, 2], 3].T, ".-" if row.success else ".:", color=INK, lw=1.2, ms=4, zorder=4)
-    colours = [_colour(s.owner, crop, row.fruit, blocking) for s in crop.solids]
+    known = {
+        name: (COLOURS[reason], 1.0 if name == row.fruit else 0.4) for name, reason in crop.reasons.items()
+    }  # others are paler
+    known |= dict.fromkeys(blocking, (BAD, 1.0))
+    colours = [known.get(s.owner, (OBSTACLE, 1.0)) for s in crop.solids]
     edges = [INK if s.owner == row.fruit else "0.6" if s.owner in crop.reasons else "none" for s in crop.solids]
     draw_solids(axis, crop.solids, i, 2, facecolor=colours, edgecolor=edges, linewidth=1.0, zorder=2)
     hit = np.isin(crop.owners, blocking)
@@ -117,13 +121,6 @@ def _draw(axis: Any, result: HarvestResult, crop: _Crop, row: HarvestResult, i: 
     axis.plot(place[i], place[2], "D", ms=6, color=COLOURS[row.reason], mec=INK, zorder=5)
     axis.set(xlim=crop.box[:, i], ylim=crop.box[:, 2], aspect="equal")
     axis.locator_params(nbins=4)
-
-
-def _colour(owner: str, crop: _Crop, fruit: str, blocking: tuple[str, ...]) -> Any:
-    """The colour of an object in a fruit's panel; other fruits are paler."""
-    if owner in blocking:
-        return BAD, 1.0
-    return (COLOURS[crop.reasons[owner]], 1.0 if owner == fruit else 0.4) if owner in crop.reasons else (OBSTACLE, 1.0)
 
 
 def _write_harvest(figure: Figure, result: HarvestResult, shown: int) -> None:

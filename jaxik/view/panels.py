@@ -93,7 +93,9 @@ def unchecked_groups(robot: Robot) -> dict[str, list[Unchecked]]:
     groups: dict[str, list[Unchecked]] = {reason: [] for reason in WORDS}
     for pair in unchecked(robot):
         row: Any = why.get(frozenset(pair))
-        reason = "" if row is None else "beside" if row.reason == "touches" and _neighbours(robot, pair) else row.reason
+        first, second = (robot.link_joint[robot.link_names.index(name)] for name in pair)
+        beside = abs(first - second) <= 1  # one joint is between them, whose bearings touch
+        reason = "" if row is None else "beside" if row.reason == "touches" and beside else row.reason
         groups[reason].append(row or Unchecked(pair, "named"))
     return {reason: sorted(rows, key=lambda row: -row.depth) for reason, rows in groups.items() if rows}
 
@@ -101,12 +103,6 @@ def unchecked_groups(robot: Robot) -> dict[str, list[Unchecked]]:
 def left_out(robot: Robot) -> frozenset[str]:
     """The links of pairs that are not checked since they mostly touch, though they are no neighbours."""
     return frozenset(name for row in unchecked_groups(robot).get("touches", []) for name in row.links)
-
-
-def _neighbours(robot: Robot, pair: tuple[str, str]) -> bool:
-    """Whether one joint is between two links, whose bearings touch."""
-    joint = [robot.link_joint[robot.link_names.index(name)] for name in pair]
-    return abs(joint[0] - joint[1]) <= 1
 
 
 def _listed(groups: dict[str, list[Unchecked]]) -> str:

@@ -169,7 +169,7 @@ class Stage:
         self._draw(follow)
 
     def _draw(self, follow: bool = True) -> tuple[Contact, ...]:
-        """Shows the robot where `q` puts it and what is nearest to it, which it returns; the target, too, if it is to `follow`."""
+        """Shows the robot where `q` puts it, the target if it is to `follow`, and what is nearest, which it returns."""
         contacts = self._contacts()
         hit = frozenset(name for c in contacts if c.distance < 0.0 for name in (c.link, c.other))
         with self.server.atomic():

@@ -63,6 +63,16 @@ def _labels(group: Any, name: str) -> list[str]:
     return [" ".join(w for w in each if w not in common) or label for each, label in zip(words, labels, strict=True)]
 
 
+def base_frame(group: Any, index: tuple[int, ...]) -> np.ndarray:
+    """Where the base of a variant is in the world (4, 4)."""
+    return np.array(group.attrs["mounts"][variant_name(index)])
+
+
+def is_in_base(group: Any) -> bool:
+    """Whether targets are in the base's frame, not the world's."""
+    return bool(group.attrs["frame"].startswith("targets are base"))
+
+
 def shares(group: Any) -> np.ndarray:
     """The share of reachable targets of each variant, in the shape of the study's axes."""
     shape = group["reason"].shape[:-1]
@@ -127,8 +137,8 @@ def _draw_slices(figure: Any, group: Any, shown: Map, index: tuple[int, ...], sc
     kind, kinds = categories(shown)
     edges = np.arange(len(kinds) + 1) - 0.5
     colours = {"cmap": ListedColormap([c for _, c in kinds]), "norm": BoundaryNorm(edges, len(kinds))}
-    mount = np.array(group.attrs["mounts"][variant_name(index)])
-    if group.attrs["frame"].startswith("targets are base"):
+    mount = base_frame(group, index)
+    if is_in_base(group):
         scene, mount = None if scene is None else scene.moved(np.linalg.inv(mount)), np.eye(4)
     axes = figure.subplots(1, SLICES)
     if len(shown.axes) == 3:
