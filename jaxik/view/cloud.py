@@ -83,9 +83,7 @@ class Cloud:
     def _span(self) -> tuple[list[float], list[float]]:
         """The least and largest coordinates of all variants' positions, rounded outwards to millimetres [m]."""
         given = np.asarray(self.group["position"][:: self.turns])
-        shown = (
-            [*self.indices.values()] if is_in_base(self.group) else [*self.indices.values()][:1]
-        )  # unless each base has its own
+        shown = [*self.indices.values()][: None if is_in_base(self.group) else 1]  # of targets in the world one map tells all
         placed = np.concatenate([self._placed(given, index) for index in shown])
         low, high = np.floor(1e3 * placed.min(axis=0)), np.ceil(1e3 * placed.max(axis=0))
         return (low / 1e3).tolist(), (np.maximum(high, low + 1.0) / 1e3).tolist()

@@ -107,9 +107,7 @@ def _draw(axis: Any, result: HarvestResult, crop: _Crop, row: HarvestResult, i: 
         draw_solids(axis, arm, i, 2, facecolor=fill, edgecolor=ARM_EDGE, linewidth=1.6, zorder=1)
         draw_solids(axis, arm, i, 2, facecolor=fill, edgecolor="none", zorder=1.1)  # leaves the outer edge
         axis.plot(*placed[1:, [i, 2], 3].T, ".-" if row.success else ".:", color=INK, lw=1.2, ms=4, zorder=4)
-    known = {
-        name: (COLOURS[reason], 1.0 if name == row.fruit else 0.4) for name, reason in crop.reasons.items()
-    }  # others are paler
+    known = {name: (COLOURS[why], 1.0 if name == row.fruit else 0.4) for name, why in crop.reasons.items()}  # others are paler
     known |= dict.fromkeys(blocking, (BAD, 1.0))
     colours = [known.get(s.owner, (OBSTACLE, 1.0)) for s in crop.solids]
     edges = [INK if s.owner == row.fruit else "0.6" if s.owner in crop.reasons else "none" for s in crop.solids]

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from pendulum import IN_PLANE, START, arm
 from robots import pinocchio
 
 import jaxik
@@ -14,13 +15,10 @@ from jaxik.costs import quadratic_cost
 from jaxik.motions import FollowOptions, Line, PredictiveController, PredictOptions, follow
 from jaxik.reasons import Reason
 
-IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
-START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
-
 
 @pytest.fixture(scope="module")
 def pendulum():
-    return dataclasses.replace(jaxik.load("pendulum4"), self_pairs=())
+    return arm()
 
 
 @pytest.fixture(scope="module")
