@@ -17,13 +17,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import arm
 import jax
 import jax.numpy as jnp
 import motionbenchmaker
 import numpy as np
 from benchmark import show
-from collision_peers import Batched, Coal, MuJoCo, Peer, PyRoki, ScikitRobot
+from peers import arm
+from peers.collision_peers import Batched, Coal, MuJoCo, Peer, PyRoki, ScikitRobot
 from race import Entry, from_scratch, machine, on_cores, race
 
 import jaxik

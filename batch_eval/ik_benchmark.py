@@ -15,14 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import fresh
-import ik_peers
 import jax
 import motionbenchmaker
 import numpy as np
-import panda
 import problems
-from collision_peers import Coal
-from panda import pose_of
+from peers import ik_peers, panda
+from peers.collision_peers import Coal
+from peers.panda import pose_of
 from problems import POSITION, ROTATION, targets
 from race import clocked, from_scratch, machine, percentiles
 

@@ -18,7 +18,7 @@ import numpy as np
 import toppra
 import toppra.algorithm
 import toppra.constraint
-from collision_peers import Coal
+from peers.collision_peers import Coal
 from race import clocked, machine, percentiles
 
 import jaxik

@@ -18,7 +18,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import casadi_peer
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,6 +25,7 @@ import pendulum
 import self_collision as case
 from papers import ilqr
 from papers.boundary_problem import boundary_value
+from peers import casadi_peer
 from race import machine
 
 import jaxik
