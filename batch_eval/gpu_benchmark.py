@@ -25,8 +25,8 @@ import fresh
 import jax
 import jax.numpy as jnp
 import numpy as np
-import problems
 from race import PLAIN, Entry, alone, clocked, compiled, from_scratch, machine, percentiles, race, single
+from setups import problems
 
 import jaxik
 

@@ -20,7 +20,7 @@ from typing import Any
 import jax
 import numpy as np
 from race import machine
-from torque_logs import CREEP, DT, JUDGED, MEASUREMENTS, OFF, SENSORS, TUNED, WIDTH, arms, friction_band, logs, model
+from setups.torque_logs import CREEP, DT, JUDGED, MEASUREMENTS, OFF, SENSORS, TUNED, WIDTH, arms, friction_band, logs, model
 from torque_pictures import draw
 
 from jaxik.estimation import (

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from peers.arm import eaik_robot
 from peers.panda import TIP
-from problems import POSITION, ROTATION
+from setups.problems import POSITION, ROTATION
 
 from jaxik import Robot
 

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from pendulum import IN_PLANE, START, arm
 from robots import pinocchio
+from setups.pendulum import IN_PLANE, START, arm
 
 import jaxik
 from jaxik.costs import quadratic_cost

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pinocchio as pin
 import pytest
-from pendulum import ACTIVATION, IN_PLANE, OBSTACLE, START, arm
-from pendulum import path as straight
 from robots import bare, pinocchio
 from scipy.optimize import linprog
+from setups.pendulum import ACTIVATION, IN_PLANE, OBSTACLE, START, arm
+from setups.pendulum import path as straight
 
 import jaxik
 from jaxik.costs import energy_cost, quadratic_cost
