@@ -1,6 +1,6 @@
 """How fast and how right clearances are beside their peers, all in one run: `python batch_eval/collision_benchmark.py FOLDER`.
 
-Needs `pip install -e ".[test,peers]"`. FOLDER holds a robot of spheres and its problems (`setups/motionbenchmaker.py`). Each scene
+Needs `pip install -e ".[test,peers]"`. FOLDER holds a robot of spheres and its problems (`setups/`). Each scene
 has its own random configurations inside the limits: `OURS` of them for jaxik, fewer, the first of them, for the peers. Prints
 tables and writes `batch_eval/collision_benchmark.json`. `collision_scaling.py` draws how the time grows.
 """

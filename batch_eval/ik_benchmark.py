@@ -1,7 +1,7 @@
 """How fast and how sure `solve_ik` is beside its peers, all in one run: `python batch_eval/ik_benchmark.py [--goals FOLDER]`.
 
 Needs `pip install -e ".[test,peers]"`. Prints tables and writes `batch_eval/ik_benchmark.json`. FOLDER holds a robot and its
-problems of MotionBenchMaker (`setups/motionbenchmaker.py`); without it that part is left out. All answers are judged by Pinocchio,
+problems of MotionBenchMaker (`setups/`); without it that part is left out. All answers are judged by Pinocchio,
 those among obstacles also by coal.
 """
 
