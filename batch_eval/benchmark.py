@@ -11,10 +11,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-import arm
 import fresh
 import numpy as np
-import panda
+from peers import arm, panda
 from race import Entry, alone, from_scratch, machine, race
 from rich.console import Console
 from rich.table import Table

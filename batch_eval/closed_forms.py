@@ -17,8 +17,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from arm import eaik_robot
-from panda import ROBOTS, bare_urdf, pose_of
+from peers.arm import eaik_robot
+from peers.panda import ROBOTS, bare_urdf, pose_of
 from race import PLAIN, Entry, compiled, from_scratch, machine, race
 
 import jaxik

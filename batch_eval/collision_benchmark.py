@@ -1,6 +1,6 @@
 """How fast and how right clearances are beside their peers, all in one run: `python batch_eval/collision_benchmark.py FOLDER`.
 
-Needs `pip install -e ".[test,peers]"`. FOLDER holds a robot of spheres and its problems (`motionbenchmaker.py`). Each scene
+Needs `pip install -e ".[test,peers]"`. FOLDER holds a robot of spheres and its problems (`setups/`). Each scene
 has its own random configurations inside the limits: `OURS` of them for jaxik, fewer, the first of them, for the peers. Prints
 tables and writes `batch_eval/collision_benchmark.json`. `collision_scaling.py` draws how the time grows.
 """
@@ -17,14 +17,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import arm
 import jax
 import jax.numpy as jnp
-import motionbenchmaker
 import numpy as np
 from benchmark import show
-from collision_peers import Batched, Coal, MuJoCo, Peer, PyRoki, ScikitRobot
+from peers import arm
+from peers.collision_peers import Batched, Coal, MuJoCo, Peer, PyRoki, ScikitRobot
 from race import Entry, from_scratch, machine, on_cores, race
+from setups import motionbenchmaker
 
 import jaxik
 

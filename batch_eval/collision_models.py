@@ -29,9 +29,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import trimesh
-from panda import ROBOTS as FOLDER
+from peers.panda import ROBOTS as FOLDER
+from peers.triangle_truth import in_coal
 from race import machine
-from triangle_truth import in_coal
 
 import jaxik
 from jaxik.collision.own_shape import WITHIN

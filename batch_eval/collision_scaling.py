@@ -15,11 +15,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import arm
 import jax
 import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
+from peers import arm
 from race import Entry, clocked, compiled, cores, machine, on_cores, race
 
 import jaxik

@@ -23,8 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 import trimesh
 from collision_models import FOLDER, ROBOTS, Meshes, _apart, draw
+from peers.triangle_truth import in_coal
 from race import machine
-from triangle_truth import in_coal
 
 import jaxik
 

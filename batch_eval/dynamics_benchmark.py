@@ -21,9 +21,9 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 from benchmark import show
-from panda import ROBOTS, urdf_file
+from peers.panda import ROBOTS, urdf_file
+from peers.rigid_truth import Truth, changed, deviations, of_robot, of_urdf
 from race import Entry, compiled, from_scratch, machine, race
-from rigid_truth import Truth, changed, deviations, of_robot, of_urdf
 
 import jaxik
 from jaxik import dynamics

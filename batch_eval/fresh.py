@@ -11,8 +11,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-import problems
 from race import cores
+from setups import problems
 
 import jaxik
 
@@ -29,7 +29,8 @@ GOALS = """
 import json, pathlib, sys, time
 sys.path.insert(0, sys.argv[4])
 import numpy as np
-import jaxik, motionbenchmaker
+import jaxik
+from setups import motionbenchmaker
 folder, tip, poses = pathlib.Path(sys.argv[1]), sys.argv[2] or None, np.load(sys.argv[3])
 robot, times = motionbenchmaker.load_robot(folder, tip), []
 for goal, pose in zip(motionbenchmaker.goals(folder, robot), poses):
@@ -42,7 +43,8 @@ print(json.dumps({"first_s": times[0], "slowest_later_s": max(times[1:]), "beyon
 MOTIONS = """
 import json, pathlib, sys, time
 sys.path.insert(0, sys.argv[3])
-import jaxik, motionbenchmaker
+import jaxik
+from setups import motionbenchmaker
 folder, tip = pathlib.Path(sys.argv[1]), sys.argv[2] or None
 robot, times = motionbenchmaker.load_robot(folder, tip), []
 for goal in motionbenchmaker.goals(folder, robot):

@@ -25,8 +25,8 @@ import fresh
 import jax
 import jax.numpy as jnp
 import numpy as np
-import problems
 from race import PLAIN, Entry, alone, clocked, compiled, from_scratch, machine, percentiles, race, single
+from setups import problems
 
 import jaxik
 
@@ -172,7 +172,7 @@ def first_call(name: str, small: bool) -> dict[str, Any]:
 
 
 def peer_kinematics(who: str, small: bool) -> dict[str, Any]:
-    import panda
+    from peers import panda
 
     urdf = panda.urdf_file()
     robot = jaxik.load(urdf, tip=panda.TIP)
@@ -185,8 +185,7 @@ def peer_kinematics(who: str, small: bool) -> dict[str, Any]:
 
 
 def peer_inverse(who: str, small: bool) -> dict[str, Any]:
-    import ik_peers
-    import panda
+    from peers import ik_peers, panda
 
     urdf, robot = panda.urdf_file(), robot_of("Panda")
     make = {

@@ -16,7 +16,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from panda import ROBOTS
+from peers.panda import ROBOTS
 from race import clocked, machine
 
 import jaxik

@@ -1,7 +1,7 @@
 """How fast and how sure `solve_ik` is beside its peers, all in one run: `python batch_eval/ik_benchmark.py [--goals FOLDER]`.
 
 Needs `pip install -e ".[test,peers]"`. Prints tables and writes `batch_eval/ik_benchmark.json`. FOLDER holds a robot and its
-problems of MotionBenchMaker (`motionbenchmaker.py`); without it that part is left out. All answers are judged by Pinocchio,
+problems of MotionBenchMaker (`setups/`); without it that part is left out. All answers are judged by Pinocchio,
 those among obstacles also by coal.
 """
 
@@ -15,16 +15,14 @@ from pathlib import Path
 from typing import Any
 
 import fresh
-import ik_peers
 import jax
-import motionbenchmaker
 import numpy as np
-import panda
-import problems
-from collision_peers import Coal
-from panda import pose_of
-from problems import POSITION, ROTATION, targets
+from peers import ik_peers, panda
+from peers.collision_peers import Coal
+from peers.panda import pose_of
 from race import clocked, from_scratch, machine, percentiles
+from setups import motionbenchmaker, problems
+from setups.problems import POSITION, ROTATION, targets
 
 import jaxik
 

@@ -20,12 +20,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import trimesh
-from panda import ROBOTS, TIP
 from papers.crossing_surfaces import bounding_box, surfaces_cross
+from peers.panda import ROBOTS, TIP
+from peers.triangle_truth import in_coal, winding
 from race import Entry, compiled, machine, race
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
-from triangle_truth import in_coal, winding
 
 import jaxik
 from jaxik.collision.bvh import grouped

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from panda import ROBOTS as FOLDER
+from peers.panda import ROBOTS as FOLDER
 from race import processor
 
 import jaxik

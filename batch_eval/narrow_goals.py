@@ -16,8 +16,8 @@ from typing import Any
 
 import jax
 import numpy as np
-from panda import ROBOTS as FOLDER
-from panda import pose_of
+from peers.panda import ROBOTS as FOLDER
+from peers.panda import pose_of
 from race import processor
 
 import jaxik

@@ -14,10 +14,10 @@ from typing import Any
 
 import jax
 import numpy as np
-from panda import pose_of
 from papers.baselines import global_search, newton_ik
 from papers.harvest_costs import box_penalty, link_circles
 from papers.trellises import TRELLIS_TARGETS, trellis_crop
+from peers.panda import pose_of
 from race import machine
 
 import jaxik

@@ -17,14 +17,14 @@ from pathlib import Path
 from typing import Any
 
 import casadi as ca
-import casadi_peer
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-import self_collision
+from peers import casadi_peer
 from race import clocked, machine
 from scipy.spatial.transform import Rotation, Slerp
+from setups import self_collision
 
 import jaxik
 from jaxik.collision import link_clearances

@@ -1,7 +1,7 @@
 """Motions among obstacles, and the timing of paths beside toppra: `python batch_eval/planning_benchmark.py [--goals FOLDER]`.
 
 Needs `pip install -e ".[test,peers]"`. Prints, and writes `batch_eval/planning_benchmark.json`. FOLDER holds a robot and its
-problems of MotionBenchMaker (`motionbenchmaker.py`): from start to goal configuration, one call each. A motion is judged from
+problems of MotionBenchMaker (`setups/`): from start to goal configuration, one call each. A motion is judged from
 outside: free by coal, wherever no point of the robot has moved by more than a millimetre, and inside the limits by its samples.
 """
 
@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import fresh
-import motionbenchmaker
 import numpy as np
 import toppra
 import toppra.algorithm
 import toppra.constraint
-from collision_peers import Coal
+from peers.collision_peers import Coal
 from race import clocked, machine, percentiles
+from setups import motionbenchmaker
 
 import jaxik
 from jaxik.planning import JointPath, PlanResult, plan_motion, time_path

@@ -1,6 +1,6 @@
 """Looking ahead in real time: `python batch_eval/predictive_benchmark.py` writes `predictive_benchmark.json`.
 
-Nine joints past themselves (`self_collision.py`) under horizons of 0.15 to 2 s, one iteration of conjugate gradients a sample
+Nine joints past themselves (`setups/`) under horizons of 0.15 to 2 s, one iteration of conjugate gradients a sample
 of 10 ms, 2,000 samples each, in float32 and on one core; beside each sample CasADi's generated C does an iteration's work (one
 gradient, three costs) at the same plan, and once, in float64, both are compared. Then the pendulum: 256 scenarios beside one,
 and its optimum: the best of 1,000 first inputs, refined at 1 ms by four solvers that share little. Parts can be named.
@@ -18,15 +18,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import casadi_peer
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pendulum
-import self_collision as case
 from papers import ilqr
 from papers.boundary_problem import boundary_value
+from peers import casadi_peer
 from race import machine
+from setups import pendulum
+from setups import self_collision as case
 
 import jaxik
 from jaxik.motions.predictive import future, objective, problem

@@ -14,9 +14,9 @@ from typing import Any, get_args
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
-import pendulum
-import self_collision as case
 from matplotlib.animation import FuncAnimation, PillowWriter
+from setups import pendulum
+from setups import self_collision as case
 
 import jaxik
 from jaxik.optimise.descent import Direction, Search

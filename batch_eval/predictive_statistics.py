@@ -20,10 +20,10 @@ from typing import Any, get_args
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pendulum
 from papers.boundary_problem import boundary_value
 from race import machine
 from scipy.interpolate import CubicSpline
+from setups import pendulum
 
 import jaxik
 from jaxik.motions.predictive import future, objective

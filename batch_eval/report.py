@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from tables_collision import (
+from tables.collision import (
     collision_markdown,
     mesh_markdown,
     model_markdown,
@@ -15,8 +15,8 @@ from tables_collision import (
     scaling_markdown,
     scenes_markdown,
 )
-from tables_forces import dynamics_markdown, identification_markdown, torque_markdown, touch_markdown
-from tables_motions import (
+from tables.forces import dynamics_markdown, identification_markdown, torque_markdown, touch_markdown
+from tables.motions import (
     astar_markdown,
     harvest_motions_markdown,
     peppers_markdown,
@@ -24,7 +24,7 @@ from tables_motions import (
     predictive_markdown,
     statistics_markdown,
 )
-from tables_postures import (
+from tables.postures import (
     base_markdown,
     closed_forms_markdown,
     general_markdown,
@@ -34,9 +34,9 @@ from tables_postures import (
     nine_dof_markdown,
     sweep_markdown,
 )
-from tables_programs import programs_markdown
-from tables_teleoperation import teleoperation_markdown
-from tables_words import duration
+from tables.programs import programs_markdown
+from tables.teleoperation import teleoperation_markdown
+from tables.words import duration
 
 HERE = Path(__file__).parent
 TABLES = {

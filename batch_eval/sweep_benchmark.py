@@ -22,8 +22,8 @@ from typing import Any
 
 import jax
 import numpy as np
-import panda
-from arm import eaik_robot
+from peers import panda
+from peers.arm import eaik_robot
 from race import machine
 from scipy.spatial.transform import Rotation
 

@@ -21,7 +21,7 @@ import jax
 import numpy as np
 from papers.alarms import Judged, judge_alarms
 from race import machine
-from torque_logs import CREEP, DT, JUDGED, MEASUREMENTS, OFF, SENSORS, TUNED, WIDTH, arms, friction_band, logs, model
+from setups.torque_logs import CREEP, DT, JUDGED, MEASUREMENTS, OFF, SENSORS, TUNED, WIDTH, arms, friction_band, logs, model
 from torque_pictures import draw
 
 from jaxik.estimation import (

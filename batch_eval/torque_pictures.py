@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
-from torque_logs import CREEP, ELBOW, JUDGED, MEASUREMENTS, WIDTH, friction_band, logs, model
+from setups.torque_logs import CREEP, ELBOW, JUDGED, MEASUREMENTS, WIDTH, friction_band, logs, model
 
 from jaxik.dynamics import inverse_dynamics, motor_current
 from jaxik.estimation import Played, TorqueEstimator, estimate

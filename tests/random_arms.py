@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from arm import eaik_robot
+from peers.arm import eaik_robot
 
 from jaxik.files.robot_builder import Joint, assemble
 

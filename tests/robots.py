@@ -1,9 +1,9 @@
 """Robots that no one here wrote, from example-robot-data; the folder is where pip puts it."""
 
 import numpy as np
-import panda
-from panda import ROBOTS as FOLDER
-from panda import bare_urdf
+from peers import panda
+from peers.panda import ROBOTS as FOLDER
+from peers.panda import bare_urdf
 
 # file, tip link: prismatic, continuous and oblique joints among them
 ROBOTS = {

@@ -6,15 +6,17 @@ import functools
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 
 from jaxik.files.targets import as_frames
 from jaxik.kinematics.forward import pose_errors
 from jaxik.kinematics.robot import Robot
 from jaxik.sweeps.robot_variants import variant_name
+from jaxik.view.drawing import draw_points
 from jaxik.view.palette import SCALE, bar, rgb, swatches
 from jaxik.view.stage import Stage
-from jaxik.view.sweep_picture import Map, categories, open_store, variant_label, variant_map
+from jaxik.view.sweep_picture import Map, base_frame, categories, is_in_base, open_store, variant_label, variant_map
 
 SHOWN = 200_000  # points of a cloud that a browser still turns smoothly
 KINDS = "what became of it"
@@ -31,7 +33,6 @@ class Cloud:
     def __init__(self, page: Stage, group: Any):
         self.page, self.server, self.group = page, page.server, group
         self.turns = int(group.attrs["targets_per_position"])
-        self.in_base = group.attrs["frame"].startswith("targets are base")
         self.fits = functools.cache(lambda index: _is_of(group, index, page.home))
         self.map = functools.lru_cache(1)(self._map)  # one at a time: it may be large
         self.indices = {
@@ -56,7 +57,7 @@ class Cloud:
         """Puts the robot where the variant has it, and draws its map."""
         index = self.indices[self.variant.value]
         if self.fits(index):
-            self.page.move(self.page.q, _mount(self.group, index))
+            self.page.move(self.page.q, base_frame(self.group, index))
         self.draw()
 
     def draw(self) -> None:
@@ -82,14 +83,14 @@ class Cloud:
     def _span(self) -> tuple[list[float], list[float]]:
         """The least and largest coordinates of all variants' positions, rounded outwards to millimetres [m]."""
         given = np.asarray(self.group["position"][:: self.turns])
-        shown = [*self.indices.values()] if self.in_base else [*self.indices.values()][:1]  # unless each base has its own
+        shown = [*self.indices.values()][: None if is_in_base(self.group) else 1]  # of targets in the world one map tells all
         placed = np.concatenate([self._placed(given, index) for index in shown])
         low, high = np.floor(1e3 * placed.min(axis=0)), np.ceil(1e3 * placed.max(axis=0))
         return (low / 1e3).tolist(), (np.maximum(high, low + 1.0) / 1e3).tolist()
 
     def _placed(self, positions: np.ndarray, index: tuple[int, ...]) -> np.ndarray:
         """Positions in the store's frame in the world (p, 3) [m]."""
-        mount = _mount(self.group, index) if self.in_base else np.eye(4)
+        mount = base_frame(self.group, index) if is_in_base(self.group) else np.eye(4)
         return positions @ mount[:3, :3].T + mount[:3, 3]
 
     def _map(self, index: tuple[int, ...]) -> Map:
@@ -98,8 +99,6 @@ class Cloud:
 
     def _colours(self, shown: Map, inside: np.ndarray, index: tuple[int, ...]) -> tuple[np.ndarray, str]:
         """A colour for each position, and the legend that explains them."""
-        import matplotlib
-
         what = self.colour.value
         if what == KINDS:
             found, kinds = categories(shown)
@@ -138,14 +137,7 @@ class Cloud:
         found = np.flatnonzero(self.group["reachable"][(*index, part)])
         if len(found) and self.fits(index):
             q = np.asarray(self.group["q"][(*index, position * self.turns + int(found[0]))])
-            self.page.move(q[np.isfinite(q)], _mount(self.group, index))
-
-
-def draw_points(scene: Any, name: str, points: np.ndarray, colours: Any, size: float) -> None:
-    """Points (p, 3) [m] of one colour, or each of its own; of none, one that is not seen."""
-    some = len(points) > 0
-    where, colours = (points, colours) if some else (np.zeros((1, 3)), (0, 0, 0))
-    scene.add_point_cloud(name, where, colours, point_size=size, point_shape="circle", visible=some)
+            self.page.move(q[np.isfinite(q)], base_frame(self.group, index))
 
 
 def store_of(robot: Robot, store: str | Path) -> Any:
@@ -162,7 +154,7 @@ def store_of(robot: Robot, store: str | Path) -> Any:
 def _is_of(group: Any, index: tuple[int, ...], robot: Robot) -> bool:
     """Whether a variant's robot is this one: its postures bring this one's tip to their targets. Shapes may differ, such as
     meshes that one of both has not read."""
-    attributes, mount = group.attrs, _mount(group, index)
+    attributes, mount = group.attrs, base_frame(group, index)
     name, _, digest = attributes["models"][variant_name(index)].rpartition(" ")
     if name != robot.name or attributes["joint_names"][name] != list(robot.joint_names):
         return False
@@ -171,12 +163,8 @@ def _is_of(group: Any, index: tuple[int, ...], robot: Robot) -> bool:
         return True
     row = int(found[0])
     pose = as_frames(np.concatenate([group["position"][row], group["quaternion"][row]])[None])[0]
-    if not attributes["frame"].startswith("targets are base"):
+    if not is_in_base(group):
         pose = np.linalg.inv(mount) @ pose
     q = np.asarray(group["q"][(*index, row)])
     away, turned = pose_errors(robot, q[np.isfinite(q)].tolist(), pose.ravel().tolist())
     return bool(away < 1e-3 and not turned > 1e-2)  # NaN where the rotation is free
-
-
-def _mount(group: Any, index: tuple[int, ...]) -> np.ndarray:
-    return np.array(group.attrs["mounts"][variant_name(index)])

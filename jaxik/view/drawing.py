@@ -12,7 +12,6 @@ from jaxik.collision.scene import Scene
 from jaxik.fitting.links import Shape
 from jaxik.kinematics.robot import Robot, known_parts
 from jaxik.spatial.rotations import to_wxyz
-from jaxik.view.cloud import draw_points
 from jaxik.view.palette import BAD, CHOSEN, FRUIT, INK, LEAF, LEFT_OUT, NEAR_LIMIT, OBSTACLE, ROBOT, VOLUME, rgb
 from jaxik.view.panels import left_out
 from jaxik.view.solids import Solid, box_solids, scene_points, scene_solids, volume_solids
@@ -25,6 +24,13 @@ def draw_mesh(scene: Any, name: str, mesh: Any, colour: str, **how: Any) -> Any:
     """A mesh of trimesh in one colour, as a node of viser's scene."""
     corners, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     return scene.add_mesh_simple(name, corners, faces, color=rgb(colour), **how)
+
+
+def draw_points(scene: Any, name: str, points: np.ndarray, colours: Any, size: float) -> None:
+    """Points (p, 3) [m] of one colour, or each of its own; of none, one that is not seen."""
+    some = len(points) > 0
+    where, colours = (points, colours) if some else (np.zeros((1, 3)), (0, 0, 0))
+    scene.add_point_cloud(name, where, colours, point_size=size, point_shape="circle", visible=some)
 
 
 def mesh_of(solids: Sequence[Solid]) -> Any:
@@ -59,8 +65,8 @@ class RobotDrawing:
     one is used."""
 
     def __init__(self, server: Any, robot: Robot, meshes: Sequence[Shape], redraw: Callable[[], Any]):
-        gui, scene, self.robot = server.gui, server.scene, robot
-        self.left_out, self.chosen = left_out(robot), frozenset[str]()
+        gui, scene, self.robot, self.left_out = server.gui, server.scene, robot, left_out(robot)
+        self.hit, self.chosen, self.strained = frozenset[str](), frozenset[str](), frozenset[int]()
         self.roots = {name: scene.add_frame(f"/{name}", show_axes=False) for name in ("shape", "volumes")}
         fitted = bool(robot.surfaces) or any(len(s.triangles) for s in meshes)
         self.parts = _parts(scene, robot, meshes)
@@ -70,8 +76,8 @@ class RobotDrawing:
         self.shape = gui.add_checkbox("its own shape", True, visible=some)
         self.volumes = gui.add_checkbox("volumes kept clear", fitted, visible=some and apart)
         for switch in (self.shape, self.volumes):
-            switch.on_update(lambda _: self._restyled(redraw))
-        self._styled()
+            switch.on_update(lambda _: (self._style(), redraw()))
+        self._style()
         self.tip = scene.add_frame("/robot/tip", axes_length=0.08, axes_radius=0.004)
         none = np.zeros((1, 2, 3))
         self.bones = scene.add_line_segments("/robot/bones", none, rgb(INK), thickness=0.008, thickness_units="world")
@@ -86,15 +92,17 @@ class RobotDrawing:
             if self.roots[_kind(part)].visible:  # the other ones, when they are shown
                 part.wxyz, part.position = turned[joint], placed[joint, :3, 3]
 
-    def colour(self, hit: frozenset[str], strained: frozenset[int]) -> None:
-        """The links: those that are chosen, by name, those that `hit` something, those that joints near a limit move, counted
-        from 1, those that are left out though they touch, and the others."""
+    def colour(self, **which: frozenset[Any]) -> None:
+        """Colours the links: those that are `chosen`, by name, those that `hit` something, those whose joints are `strained`,
+        counted from 1, which are near a limit, those that are left out though they touch, and the others. What is not given
+        stays as it was."""
+        vars(self).update(which)
         for link, part in self.parts:
             name = self.robot.link_names[link]
             looks = (
                 (CHOSEN, name in self.chosen),
-                (BAD, name in hit),
-                (NEAR_LIMIT, self.robot.link_joint[link] in strained),
+                (BAD, name in self.hit),
+                (NEAR_LIMIT, self.robot.link_joint[link] in self.strained),
                 (LEFT_OUT, name in self.left_out),
                 (VOLUME if _kind(part) == "volumes" else ROBOT, True),
             )
@@ -102,11 +110,7 @@ class RobotDrawing:
             if tuple(part.color) != colour:
                 part.color = colour
 
-    def _restyled(self, redraw: Callable[[], Any]) -> None:
-        self._styled()
-        redraw()
-
-    def _styled(self) -> None:
+    def _style(self) -> None:
         self.roots["shape"].visible, self.roots["volumes"].visible = self.shape.value, self.volumes.value
         both = self.shape.value and self.volumes.value
         for _, part in self.parts:
@@ -125,17 +129,15 @@ def _parts(scene: Any, robot: Robot, meshes: Sequence[Shape]) -> list[tuple[int,
     """The links' numbers and their meshes."""
     import trimesh
 
-    own = _own(robot, meshes)
-    volumes = _kept_clear(robot)
     joined = lambda parts, link: trimesh.util.concatenate([mesh for of, mesh in parts if of == link])
-    looks: dict[str, dict[str, Any]] = {
-        "shape": {"colour": ROBOT, "flat_shading": True},
-        "volumes": {"colour": VOLUME, "opacity": AROUND, "cast_shadow": False, "receive_shadow": False},
-    }
+    around: dict[str, Any] = {"opacity": AROUND, "cast_shadow": False, "receive_shadow": False}
     return [
-        (link, draw_mesh(scene, f"/{name}/{link}", joined(kind, link), **looks[name]))
-        for name, kind in (("shape", own), ("volumes", volumes))
-        for link in sorted({part[0] for part in kind})
+        (link, draw_mesh(scene, f"/{name}/{link}", joined(parts, link), colour, **looks))
+        for name, parts, colour, looks in (
+            ("shape", _own(robot, meshes), ROBOT, {"flat_shading": True}),
+            ("volumes", _kept_clear(robot), VOLUME, around),
+        )
+        for link in sorted({link for link, _ in parts})
     ]
 
 
@@ -212,8 +214,7 @@ class SceneDrawing:
 
     def draw_nearest(self, contacts: Sequence[Contact]) -> None:
         """Lines between the points that are nearest to each other."""
-        ends = np.array([(c.point, c.other_point) for c in contacts]).reshape(-1, 2, 3)
-        colour = rgb(BAD if contacts and contacts[0].distance < 0.0 else INK)
-        some = len(ends) > 0
-        shown = ends if some else np.zeros((1, 2, 3))
-        self.scene.add_line_segments("/nearest", shown, colour, thickness=4, thickness_units="screen", visible=some)
+        ends = np.array([(c.point, c.other_point) for c in contacts] or np.zeros((1, 2, 3)))
+        looks: dict[str, Any] = {"thickness": 4, "thickness_units": "screen", "visible": bool(contacts)}
+        colour = BAD if contacts and contacts[0].distance < 0.0 else INK
+        self.scene.add_line_segments("/nearest", ends, rgb(colour), **looks)

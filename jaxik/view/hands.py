@@ -8,7 +8,6 @@ field."""
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -46,12 +45,12 @@ _SCRIPT = """if (!window.jaxikPad) {
 class PagePad:
     """The sticks of a pad that some browser of the page has."""
 
-    def __init__(self, gui: Any, clock: Callable[[], float] = time.monotonic):
+    def __init__(self, gui: Any):
         self.field = gui.add_text(
             "game pad", NO_PAD, disabled=True, hint="Press a button of it first: browsers hide a pad until then."
         )
         gui.add_html(f'<img src="data:," alt="" style="display:none" onerror="{_SCRIPT}">')  # a script of its own is not run
-        self.clock, self._rate, self._until = clock, np.zeros(6), -np.inf
+        self.clock, self._rate, self._until = time.monotonic, np.zeros(6), -np.inf
         self.field.on_update(lambda _: self._told(self.field.value))
 
     def rate(self) -> np.ndarray | None:
@@ -84,6 +83,8 @@ class PageHand:
 
     def read(self) -> Hand | None:
         """Where the target is, or where the sticks have pushed the tip."""
+        from scipy.spatial.transform import Rotation
+
         if not self.page.server.get_clients():
             self.dragged, self._followed, self._pushed = False, False, None
             return None
@@ -93,7 +94,7 @@ class PageHand:
         rate = None if dragged else self.pad.rate()
         self._pushed = None if rate is None else tip[:3, 3] if before is None else before + PERIOD * rate[:3]
         if dragged and not begun:
-            turn = _rotation_vector(from_wxyz(gizmo.wxyz) @ tip[:3, :3].T)
+            turn = Rotation.from_matrix(from_wxyz(gizmo.wxyz) @ tip[:3, :3].T).as_rotvec()
             return Hand(np.array(gizmo.position), FOLLOWING * turn, np.zeros(1))
         if rate is not None and before is not None:
             return Hand(self._pushed, rate[3:], np.zeros(1))
@@ -106,9 +107,3 @@ class PageHand:
     def close(self) -> None:
         """Lets the target go."""
         self.dragged = False
-
-
-def _rotation_vector(rotation: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())

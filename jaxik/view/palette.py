@@ -6,6 +6,8 @@ without red or green cones; a test simulates both. Yes or no and reasons have th
 
 from __future__ import annotations
 
+import matplotlib
+
 from jaxik.reasons import Reason
 
 _LOOKS = {  # nearest to an answer first
@@ -26,10 +28,7 @@ ARM, ARM_EDGE, INK = "#c9d3df", "#5b6b7f", "#222222"
 PATH, CARRIED = "#2f6db3", "#d1495b"  # of the tip, without a fruit and with one
 ROBOT = "#8d9db0"  # in the light of the page
 VOLUME = "#e3cf9a"  # around it
-LEFT_OUT, CHOSEN = (
-    "#7a3fa0",
-    "#2fc4ea",
-)  # of pairs of links that are not checked: those that touch, and the one that is looked at
+LEFT_OUT, CHOSEN = "#7a3fa0", "#2fc4ea"  # of pairs of links that are not checked: what touches, and what is looked at
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
@@ -48,8 +47,6 @@ def swatches(entries: dict[str, str]) -> str:
 
 def bar(words: str, low: float, high: float) -> str:
     """The scale as HTML: a bar from the least to the largest number."""
-    import matplotlib
-
     stops = ",".join(matplotlib.colors.to_hex(matplotlib.colormaps[SCALE](x)) for x in (0.0, 0.25, 0.5, 0.75, 1.0))
     ends = f"<div style='display:flex;justify-content:space-between'><span>{low:.3g}</span><span>{high:.3g}</span></div>"
     return f"{words}<div style='height:0.8em;background:linear-gradient(90deg,{stops})'></div>{ends}"

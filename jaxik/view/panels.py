@@ -1,4 +1,4 @@
-"""Panels of the page: a slider for each joint, the fruits, and the pairs of links that are not checked."""
+"""Panels of the robot: a slider for each joint, and the pairs of links that are not checked."""
 
 from __future__ import annotations
 
@@ -9,12 +9,9 @@ from typing import Any
 import numpy as np
 
 from jaxik.files.unchecked_pairs import unchecked
-from jaxik.harvesting.driver import HarvestResult
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.shapes import Unchecked
-from jaxik.view.harvest_pictures import fate, posture
-from jaxik.view.palette import LEFT_OUT, marked
-from jaxik.view.stage import Stage
+from jaxik.view.palette import LEFT_OUT
 
 
 class Sliders:
@@ -41,28 +38,6 @@ class Sliders:
             self.moved(i, np.clip(self.each[i].value / self._factor[i], *self.limits[:, i]))  # the slider's ends are rounded
 
 
-class FruitList:
-    """The controls of the list. The first fruit that can be picked is shown."""
-
-    def __init__(self, page: Stage, harvest: HarvestResult):
-        gui, solved = page.server.gui, int(harvest.success.sum())
-        self.page, self.rows = page, {f"{'✓' if row.success else '✗'} {row.fruit}": row for row in harvest}
-        gui.add_markdown(f"**{page.robot.name} can pick {solved} of the {len(self.rows)} fruits.** Choose one:")
-        self.chosen, self.said = gui.add_dropdown("fruit", list(self.rows)), gui.add_html("")
-        self.chosen.on_update(lambda _: self.show())
-        self.chosen.value = next((k for k, row in self.rows.items() if row.success), next(iter(self.rows)))
-        self.show()
-
-    def show(self) -> None:
-        """The one that is chosen."""
-        row: Any = self.rows[self.chosen.value]
-        q, words = posture(row), "the best posture stays" if row.success else "no posture:"
-        more = " of all but the fruit itself." if row.success else "." if q is None else ". Shown is what that would open."
-        self.said.content = marked(row.success, row.fruit, f": {words} {fate(row)}{more}")
-        if q is not None:
-            self.page.move(q)
-
-
 NONE = "pair: none"
 WORDS = {  # what stands out first
     "touches": "their surfaces mostly touch",
@@ -87,10 +62,11 @@ if (row && field) {
 
 
 class UncheckedList:
-    """The list's rows, in groups by the reason."""
+    """The list's rows, in groups by the reason; `drawing` shows the links of one."""
 
-    def __init__(self, page: Stage, robot: Robot):
-        gui, self.page, groups = page.server.gui, page, unchecked_groups(robot)
+    def __init__(self, server: Any, drawing: Any):
+        gui, self.server, self.drawing, robot = server.gui, server, drawing, drawing.robot
+        groups = unchecked_groups(robot)
         self.rows = [row for group in groups.values() for row in group]
         with gui.add_folder(f"{len(self.rows)} pairs of links are not checked", expand_by_default=False):
             gui.add_markdown(f"{len(robot.self_pairs)} pairs are. Click one of these to see it:")
@@ -102,7 +78,8 @@ class UncheckedList:
         """Colours the two links of a row, counted from 0, or of none."""
         links = () if number is None else self.rows[number].links
         self.field.value = f"pair: {' and '.join(links)}" if links else NONE
-        self.page.choose(frozenset(links))
+        with self.server.atomic():
+            self.drawing.colour(chosen=frozenset(links))
 
     def _told(self) -> None:
         word = self.field.value.removeprefix("pair:").strip()
@@ -116,7 +93,9 @@ def unchecked_groups(robot: Robot) -> dict[str, list[Unchecked]]:
     groups: dict[str, list[Unchecked]] = {reason: [] for reason in WORDS}
     for pair in unchecked(robot):
         row: Any = why.get(frozenset(pair))
-        reason = "" if row is None else "beside" if row.reason == "touches" and _neighbours(robot, pair) else row.reason
+        first, second = (robot.link_joint[robot.link_names.index(name)] for name in pair)
+        beside = abs(first - second) <= 1  # one joint is between them, whose bearings touch
+        reason = "" if row is None else "beside" if row.reason == "touches" and beside else row.reason
         groups[reason].append(row or Unchecked(pair, "named"))
     return {reason: sorted(rows, key=lambda row: -row.depth) for reason, rows in groups.items() if rows}
 
@@ -124,12 +103,6 @@ def unchecked_groups(robot: Robot) -> dict[str, list[Unchecked]]:
 def left_out(robot: Robot) -> frozenset[str]:
     """The links of pairs that are not checked since they mostly touch, though they are no neighbours."""
     return frozenset(name for row in unchecked_groups(robot).get("touches", []) for name in row.links)
-
-
-def _neighbours(robot: Robot, pair: tuple[str, str]) -> bool:
-    """Whether one joint is between two links, whose bearings touch."""
-    joint = [robot.link_joint[robot.link_names.index(name)] for name in pair]
-    return abs(joint[0] - joint[1]) <= 1
 
 
 def _listed(groups: dict[str, list[Unchecked]]) -> str:

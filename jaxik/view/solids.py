@@ -26,7 +26,7 @@ class Solid(NamedTuple):
 
     def moved(self, frame: np.ndarray) -> Solid:
         """The solid, given in `frame` (4, 4), in the frame that `frame` is given in."""
-        return self._replace(corners=self.corners @ frame[:3, :3].T + frame[:3, 3])
+        return self._replace(corners=_placed(self.corners, frame))
 
     def outline(self, i: int, j: int) -> np.ndarray:
         """The outline (m, 2) [m] as seen along the third axis, where axes `i` and `j` span the picture."""
@@ -51,31 +51,35 @@ def _hull(points: np.ndarray) -> np.ndarray:
 
 def scene_solids(scene: Scene) -> list[Solid]:
     """All obstacles but points, which are drawn as such, and without what is moved out of the way."""
-    capsules, boxes, cylinders, triangles = scene.capsules, scene.boxes, scene.cylinders, scene.triangles
+    spheres, capsules, boxes, cylinders, triangles = (obstacles for _, obstacles, _ in [*scene.by_kind()][1:])
     tops = np.concatenate([np.column_stack([_RING, np.full(len(_RING), z)]) for z in (-1.0, 1.0)])
     sizes = np.column_stack([cylinders.radius, cylinders.radius, cylinders.half])
     kinds = (
-        [(centre[None], r) for centre, r in zip(scene.spheres.center, scene.spheres.radius, strict=True)],
-        [(np.stack([a, b]), r) for a, b, r in zip(capsules.a, capsules.b, capsules.radius, strict=True)],
-        [(_placed(_BOX * half, frame), 0.0) for frame, half in zip(boxes.world_T_box, boxes.half, strict=True)],
-        [(_placed(tops * size, frame), 0.0) for frame, size in zip(cylinders.world_T_cylinder, sizes, strict=True)],
-        [(corners, 0.0) for corners in np.stack([triangles.a, triangles.b, triangles.c], axis=1)],
+        (spheres.center[:, None], spheres.radius),
+        (np.stack([capsules.a, capsules.b], axis=1), capsules.radius),
+        (_placed(_BOX * boxes.half[:, None], boxes.world_T_box), 0.0),
+        (_placed(tops * sizes[:, None], cylinders.world_T_cylinder), 0.0),
+        (np.stack([triangles.a, triangles.b, triangles.c], axis=1), 0.0),
     )
-    names = (*scene.object_names, "")  # the last for what has no owner
     return [
-        Solid(names[owner], np.asarray(corners, float), float(radius))
-        for kind, owners in zip(kinds, scene.owners[1:], strict=True)
-        for (corners, radius), owner in zip(kind, (*owners, *[-1] * (len(kind) - len(owners))), strict=True)
+        Solid(name, np.asarray(corners, float), float(radius))
+        for (each, radii), (*_, owners) in zip(kinds, [*scene.by_kind()][1:], strict=True)
+        for corners, radius, name in zip(each, np.broadcast_to(radii, len(each)), _names(scene, owners), strict=True)
         if np.abs(corners).max() <= LIMIT
     ]
 
 
 def scene_points(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """The scene's points (k, 3) [m] and the names (k,) of the objects that they belong to."""
-    centres = np.asarray(scene.points.center, float)
-    owners = np.array([*scene.owners[0], *[-1] * (len(centres) - len(scene.owners[0]))], int)
+    _, points, owners = next(scene.by_kind())
+    centres = np.asarray(points.center, float)
     here = np.abs(centres).max(axis=1, initial=0.0) <= LIMIT
-    return centres[here], np.array([*scene.object_names, ""])[owners[here]]
+    return centres[here], _names(scene, owners[here])
+
+
+def _names(scene: Scene, owners: np.ndarray) -> np.ndarray:
+    """The names of objects by their numbers, "" of what belongs to none."""
+    return np.array([*scene.object_names, ""])[owners]
 
 
 def volume_solids(robot: Robot) -> list[tuple[int, Solid]]:
@@ -108,4 +112,6 @@ def bones(robot: Robot, q: Any) -> np.ndarray:
 
 
 def _placed(points: np.ndarray, frame: Any) -> np.ndarray:
-    return points @ np.asarray(frame)[:3, :3].T + np.asarray(frame)[:3, 3]
+    """Points (..., k, 3) of a frame (..., 4, 4), in the frame that it is given in."""
+    turn, place = np.asarray(frame)[..., :3, :3], np.asarray(frame)[..., None, :3, 3]
+    return np.asarray(points @ np.swapaxes(turn, -1, -2) + place)

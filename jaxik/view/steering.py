@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik import costs
-from jaxik.checks.arrays import numbers
 from jaxik.collision.clearances import clearance
 from jaxik.collision.contact_report import Contact
+from jaxik.collision.scene import Scene
 from jaxik.dynamics.point_force import PointForce
 from jaxik.kinematics.forward import manipulability
+from jaxik.kinematics.robot import Robot
 from jaxik.planning import save_trajectory
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.reasons import Reason
@@ -30,13 +32,13 @@ from jaxik.teleoperation import Hand, PositionControl, Teleoperation, Watchdog
 from jaxik.view.hands import PERIOD, PageHand, PagePad
 from jaxik.view.palette import CARRIED, PATH, boxed, rgb
 from jaxik.view.solids import frames
-from jaxik.view.stage import Stage
+from jaxik.view.stage import STEER, Stage
 
 LOOKED = 6  # samples between two looks at what is near
 MARGIN, SHELL, STIFFNESS = 0.01, 0.05, 300.0  # [m], [m], [N/m]
 ARROW = 0.02  # [m/N]
+ARROWS: dict[str, Any] = {"shaft_radius": 0.006, "head_radius": 0.014, "head_length": 0.03, "visible": False}  # [m]
 CLOSE = 0.1  # of half a joint's range
-STEER = "Drag the arrows and rings at the tip, or push a game pad's sticks while the tab Steer is open: the arm follows."
 FORCES = (
     f"Arrows are forces of virtual springs, {STIFFNESS:g} N/m, that begin {100.0 * SHELL:g} cm before what is near: "
     "at the place where it is near, and what a hand would feel of it at the tip. Nothing is measured."
@@ -46,14 +48,14 @@ FORCES = (
 class Steering:
     """The controls in a tab of the page, and the loop behind them."""
 
-    def __init__(self, page: Stage):
-        self.page, self.robot, self.running = page, page.home, threading.Event()
+    def __init__(self, page: Stage, robot: Robot):
+        self.page, self.robot, self.running = page, robot, threading.Event()
         self.rows: list[np.ndarray] = []
         self.recording = self.playing = False
         gui = page.server.gui
         gui.add_markdown(f"**{STEER}** Links whose joints are near a limit change their colour. {FORCES}")
         self.on = gui.add_checkbox("steer the tip", True)
-        self.said = gui.add_html("")
+        self.said = gui.add_html(boxed("getting ready"))
         self.device = PageHand(page, PagePad(gui))
         self.watch = Watchdog(self.device)
         self.record, self.play = gui.add_button("Record"), gui.add_button("Play the recording", disabled=True)
@@ -63,18 +65,9 @@ class Steering:
         self.play.on_click(lambda _: setattr(self, "playing", True))
         self.save.on_click(lambda _: self.store())
         self.arrows = [
-            page.server.scene.add_arrows(
-                f"/steering/{name}",
-                np.zeros((1, 2, 3)),
-                rgb(colour),
-                shaft_radius=0.006,
-                head_radius=0.014,
-                head_length=0.03,
-                visible=False,
-            )
+            page.server.scene.add_arrows(f"/steering/{name}", np.zeros((1, 2, 3)), rgb(colour), **ARROWS)
             for name, colour in (("contact", CARRIED), ("felt", PATH))
         ]
-        self._say("getting ready")
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.running.set()
         self.thread.start()
@@ -167,8 +160,8 @@ class Steering:
         pace = (len(since) - 1) / max(since[-1] - since[0], 1e-9)
         reason = Reason(int(command.reason))
         words = f"{pace:.0f} Hz; {np.linalg.norm(command.felt):.1f} N at the tip"
-        self._say(words if reason == Reason.SOLVED else f"{words}; held still: {reason}")
-        self.page.strain(near_limits(self.robot, self.page.q))
+        self.said.content = boxed(words if reason == Reason.SOLVED else f"{words}; held still: {reason}")
+        self.page.drawing.colour(strained=near_limits(self.robot, self.page.q))
 
     def _recorded(self) -> None:
         """Begins to record, or ends."""
@@ -190,21 +183,18 @@ class Steering:
         self.playing = False
         self.page.look()
 
-    def _say(self, words: str) -> None:
-        self.said.content = boxed(words)
-
 
 _RESTS = Hand(np.zeros(3), np.zeros(3), np.ones(1))
 
 
-def near_limits(robot: Any, q: np.ndarray) -> frozenset[int]:
+def near_limits(robot: Robot, q: np.ndarray) -> frozenset[int]:
     """The joints, counted from 1, that are near a limit."""
     with np.errstate(invalid="ignore"):
         share = np.minimum(q - robot.lower, robot.upper - q) / ((robot.upper - robot.lower) / 2.0)
     return frozenset(int(i) + 1 for i in np.flatnonzero(robot.is_limited & (share < CLOSE)))
 
 
-def ready_posture(robot: Any, scene: Any, count: int = 512) -> np.ndarray:
+def ready_posture(robot: Robot, scene: Scene | None, count: int = 512) -> np.ndarray:
     """Chooses, among many configurations, the one from which the tip moves best, with room to limits and to what is around."""
 
     def judged(q: Any) -> Any:
@@ -221,14 +211,13 @@ def ready_posture(robot: Any, scene: Any, count: int = 512) -> np.ndarray:
     return np.asarray(q[int(np.argmax(room))])
 
 
-def recorded(q: Any, period: float) -> Trajectory:
+def recorded(q: Sequence[np.ndarray], period: float) -> Trajectory:
     """The trajectory through configurations (k, n) [rad, m], k >= 2, one a `period` [s]: the cubic spline over time, at rest at
     its ends. Host."""
     from scipy.interpolate import CubicSpline
 
-    rows = numbers("recorded: q", q)
-    if rows.ndim != 2 or len(rows) < 2:
-        raise ValueError(f"a recording of {len(rows)} samples; record for longer")
-    time = period * np.arange(len(rows))
-    found = CubicSpline(time, rows, bc_type="clamped")
+    if len(q) < 2:
+        raise ValueError(f"a recording of {len(q)} samples; record for longer")
+    time = period * np.arange(len(q))
+    found = CubicSpline(time, q, bc_type="clamped")
     return Trajectory(JointPath(np.diff(time), np.moveaxis(found.c, 0, 1)), time, time, np.ones_like(time))

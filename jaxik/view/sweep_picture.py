@@ -7,12 +7,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from jaxik.checks.options import optional
 from jaxik.collision.scene import Scene
 from jaxik.reasons import Reason
 from jaxik.sweeps.robot_variants import variant_name
-from jaxik.view.palette import COLOURS, INK, PARTLY, SCALE, WORDS
+from jaxik.view.palette import COLOURS, GOOD, INK, PARTLY, SCALE, WORDS
+from jaxik.view.pictures import draw_solids, marker
 from jaxik.view.solids import scene_points, scene_solids
 
 SHOWN = 20_000  # points of a scatter plot
@@ -48,8 +52,25 @@ def variant_axes(group: Any) -> list[str]:
 
 def variant_label(group: Any, index: tuple[int, ...]) -> str:
     """The words that tell a variant from others; none where there is only one."""
-    named = [(n, _differing([_short(v) for v in group[n][...]])[i]) for n, i in zip(variant_axes(group), index, strict=True)]
-    return ", ".join(f"{name} {words}" for name, words in named)
+    return ", ".join(f"{name} {_labels(group, name)[i]}" for name, i in zip(variant_axes(group), index, strict=True))
+
+
+def _labels(group: Any, name: str) -> list[str]:
+    """The values along an axis, without the words that all of them share, such as "y=0.1" of "x=0 y=0.1 z=0 yaw_deg=0"."""
+    labels = [f"{v:g}" if isinstance(v, float | np.floating) else str(v) for v in group[name][...]]
+    words = [label.split() for label in labels]
+    common = set.intersection(*map(set, words)) if len(words) > 1 else set()
+    return [" ".join(w for w in each if w not in common) or label for each, label in zip(words, labels, strict=True)]
+
+
+def base_frame(group: Any, index: tuple[int, ...]) -> np.ndarray:
+    """Where the base of a variant is in the world (4, 4)."""
+    return np.array(group.attrs["mounts"][variant_name(index)])
+
+
+def is_in_base(group: Any) -> bool:
+    """Whether targets are in the base's frame, not the world's."""
+    return bool(group.attrs["frame"].startswith("targets are base"))
 
 
 def shares(group: Any) -> np.ndarray:
@@ -69,8 +90,6 @@ def variant_map(group: Any, index: tuple[int, ...]) -> Map:
 def plot_sweep(store: str | Path, path: str | Path, *, scene: Scene | None = None) -> None:
     """Draws one picture (PNG) of a sweep's `store`: slices of the variant that reaches most, with the study's `scene`; what
     became of its targets, what was missed, and the variants beside each other. Host."""
-    from matplotlib.figure import Figure
-
     group = open_store(store)
     every = shares(group)
     best = tuple(int(i) for i in np.unravel_index(np.argmax(every), every.shape))
@@ -87,7 +106,9 @@ def plot_sweep(store: str | Path, path: str | Path, *, scene: Scene | None = Non
     if every.size > 1:
         _draw_variants(axes[-1], group, every)
     else:
-        _draw_margins(axes[-1], shown)
+        axes[-1].hist(shown.margin[np.isfinite(shown.margin)], bins=40, color=GOOD)
+        title = "How far the joints stay from their limits"
+        axes[-1].set(title=title, xlabel="0: at a limit; 1: in the middle", ylabel="targets")
     for axis in axes:
         axis.spines[["top", "right"]].set_visible(False)
     reached = f"the arm reaches {np.mean(shown.reason == Reason.SOLVED):.1%} of {len(shown.reason):,} targets"
@@ -103,7 +124,7 @@ def categories(shown: Map) -> tuple[np.ndarray, list[tuple[str, str]]]:
     found = np.full(len(shown.positions), -1)
     turns = shown.reason.reshape(len(found), -1)
     whole = WORDS[Reason.SOLVED] if turns.shape[1] == 1 else "reachable from every direction"
-    kinds = [(whole, COLOURS[Reason.SOLVED]), ("reachable from some directions", PARTLY)]
+    kinds = [(whole, GOOD), ("reachable from some directions", PARTLY)]
     for k, reason in reversed([*enumerate(reasons, len(kinds))]):
         found[(turns == reason).any(axis=1)] = k
     found[shown.share > 0.0] = 1
@@ -113,15 +134,11 @@ def categories(shown: Map) -> tuple[np.ndarray, list[tuple[str, str]]]:
 
 def _draw_slices(figure: Any, group: Any, shown: Map, index: tuple[int, ...], scene: Scene | None) -> list[Any]:
     """Level slices of a grid, or the positions from three sides, with the base and obstacles; returns the legend's entries."""
-    from matplotlib.colors import BoundaryNorm, ListedColormap
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     kind, kinds = categories(shown)
     edges = np.arange(len(kinds) + 1) - 0.5
     colours = {"cmap": ListedColormap([c for _, c in kinds]), "norm": BoundaryNorm(edges, len(kinds))}
-    mount = np.array(group.attrs["mounts"][variant_name(index)])
-    if group.attrs["frame"].startswith("targets are base"):
+    mount = base_frame(group, index)
+    if is_in_base(group):
         scene, mount = None if scene is None else scene.moved(np.linalg.inv(mount)), np.eye(4)
     axes = figure.subplots(1, SLICES)
     if len(shown.axes) == 3:
@@ -146,7 +163,7 @@ def _draw_slices(figure: Any, group: Any, shown: Map, index: tuple[int, ...], sc
             _draw_surroundings(axis, scene, mount, i, j, (-np.inf, np.inf))
             axis.set_title(f"{side}, all targets")
     handles: list[Any] = [Patch(fc=c, ec="0.6", label=words) for k, (words, c) in enumerate(kinds) if (kind == k).any()]
-    handles.append(Line2D([], [], marker="^", color=INK, mec="w", ms=11, lw=0, label="the robot's base"))
+    handles.append(marker(INK, "^", "the robot's base", mec="w", ms=11))
     if scene is not None:
         handles.append(Patch(fc="w", ec=INK, label="obstacles at this height" if len(shown.axes) == 3 else "obstacles"))
     return handles
@@ -154,15 +171,13 @@ def _draw_slices(figure: Any, group: Any, shown: Map, index: tuple[int, ...], sc
 
 def _draw_surroundings(axis: Any, scene: Scene | None, mount: np.ndarray, i: int, j: int, between: tuple[float, float]) -> None:
     """The base, and the outlines of the obstacles that are between two coordinates along the third axis."""
-    from matplotlib.collections import PolyCollection
-
     across, (low, high) = 3 - i - j, between
     axis.autoscale_view()
     sides = np.array([axis.get_xlim(), axis.get_ylim()])
     if scene is not None:
         solids = [s for s in scene_solids(scene) if s.span[0, across] <= high and s.span[1, across] >= low]
         fill = (1.0, 1.0, 1.0, 0.7 if np.isfinite(low) else 0.0)
-        axis.add_collection(PolyCollection([s.outline(i, j) for s in solids], facecolor=fill, edgecolor=INK, lw=1.0))
+        draw_solids(axis, solids, i, j, facecolor=fill, edgecolor=INK, lw=1.0)
         points = scene_points(scene)[0]
         points = points[(points[:, across] >= low) & (points[:, across] <= high)]
         axis.scatter(points[:, i], points[:, j], s=10, color=[fill], ec=INK, lw=0.6)
@@ -187,7 +202,7 @@ def _draw_missed(axis: Any, audit: dict[str, Any]) -> None:
         rates = 100.0 * np.array(found["rates"])
         axis.plot(found["efforts"], rates, style, color=INK, label=f"{method}: these alone")
         rate = 100.0 * found["false_negative_rate"]
-        axis.axhline(rate, color=COLOURS[Reason.SOLVED], ls=style[1:], label=f"{method}: this sweep, {rate:.2g} %")
+        axis.axhline(rate, color=GOOD, ls=style[1:], label=f"{method}: this sweep, {rate:.2g} %")
     efforts = sorted({e for found in audit.values() for e in found["efforts"]})
     axis.set_xscale("log")
     axis.minorticks_off()
@@ -202,11 +217,6 @@ def _effort(found: dict[str, Any]) -> str:
     return "seeds" if found["effort"] == "max_seeds" else f"positions of {' and '.join(found.get('of', ['the slide']))}"
 
 
-def _draw_margins(axis: Any, shown: Map) -> None:
-    axis.hist(shown.margin[np.isfinite(shown.margin)], bins=40, color=COLOURS[Reason.SOLVED])
-    axis.set(title="How far the joints stay from their limits", xlabel="0: at a limit; 1: in the middle", ylabel="targets")
-
-
 def _draw_variants(axis: Any, group: Any, every: np.ndarray) -> None:
     names = variant_axes(group)
     title = "Reachable, by " + " and ".join(names)
@@ -214,7 +224,7 @@ def _draw_variants(axis: Any, group: Any, every: np.ndarray) -> None:
         mesh = axis.imshow(100.0 * every, aspect="auto", cmap=SCALE)
         axis.figure.colorbar(mesh, ax=axis, label="reachable targets [%]")
         for set_ticks, name in ((axis.set_yticks, names[0]), (axis.set_xticks, names[1])):
-            labels = _differing([_short(v) for v in group[name][...]])
+            labels = _labels(group, name)
             every_few = -(-len(labels) // 12)  # more would lie over each other
             set_ticks(range(0, len(labels), every_few), labels[::every_few], fontsize=8)
         axis.set(ylabel=names[0], xlabel=names[1])
@@ -223,7 +233,7 @@ def _draw_variants(axis: Any, group: Any, every: np.ndarray) -> None:
         indices = [*np.ndindex(*every.shape)]
         labels = [variant_label(group, index) for index in indices]
         order = np.argsort(-every.ravel(), kind="stable")[:VARIANTS]
-        best = [COLOURS[Reason.SOLVED], *[PARTLY] * (len(order) - 1)]
+        best = [GOOD, *[PARTLY] * (len(order) - 1)]
         bars = axis.barh(range(len(order)), 100.0 * every.ravel()[order], color=best)
         axis.bar_label(bars, [f" {x:.1%}" for x in every.ravel()[order]], fontsize=9)
         axis.set_yticks(range(len(order)), [labels[i] for i in order], fontsize=9)
@@ -232,14 +242,3 @@ def _draw_variants(axis: Any, group: Any, every: np.ndarray) -> None:
         axis.set(xlabel="reachable targets [%]")
         title += f": the best {VARIANTS} of {len(indices)}" if len(indices) > VARIANTS else ""
     axis.set_title(title)
-
-
-def _short(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float | np.floating) else str(value)
-
-
-def _differing(labels: list[str]) -> list[str]:
-    """Labels without the words that all of them share, such as "y=0.1" of "x=0 y=0.1 z=0 yaw_deg=0"."""
-    words = [label.split() for label in labels]
-    common = set.intersection(*map(set, words)) if len(words) > 1 else set()
-    return [" ".join(w for w in each if w not in common) or label for each, label in zip(words, labels, strict=True)]

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from panda import bare_urdf
+from peers.panda import bare_urdf
 from random_arms import FAMILIES, apart, assembled, exact_branches_of_eaik, frame, random_arm
 from robots import FOLDER, ROBOTS
 

@@ -4,11 +4,11 @@ import io
 import tarfile
 
 import jax.numpy as jnp
-import motionbenchmaker
 import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
+from setups import motionbenchmaker
 
 import jaxik
 

@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import trimesh
+from peers.triangle_truth import in_coal
 from robot_files import write
-from triangle_truth import in_coal
 
 import jaxik
 from jaxik.kinematics import link_frames

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from peers.triangle_truth import in_coal, winding
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
-from triangle_truth import in_coal, winding
 
 import jaxik
 from jaxik.collision import distance, surface_trees

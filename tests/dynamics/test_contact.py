@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from rigid_truth import of_robot
+from peers.rigid_truth import of_robot
 
 import jaxik
 from jaxik.dynamics import PointForce, material_point, point_jacobian, point_torque

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from rigid_truth import changed, deviations, of_robot, of_urdf, states
+from peers.rigid_truth import changed, deviations, of_robot, of_urdf, states
 from robot_files import refused, write
 from robots import FOLDER, ROBOTS
 

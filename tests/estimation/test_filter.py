@@ -5,22 +5,7 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
-
-from jaxik.estimation import TorqueFilter
-
-JOINTS = 3
-RNG = np.random.default_rng(0)
-
-
-def a_filter(**changes):
-    numbers = dict(
-        current_per_torque=[0.05, 0.2, 3.0],
-        torsion_per_torque=[1e-5, 8e-5, 1e-3],
-        process=[0.3, 1e-4, 20.0],
-        current_noise=[1e-2, 4e-3, 0.5],
-        torsion_noise=[1e-8, 1e-9, 1e-6],
-    )
-    return TorqueFilter(**(numbers | changes))
+from torque_filters import JOINTS, a_filter
 
 
 def test_step_response_is_of_first_order():

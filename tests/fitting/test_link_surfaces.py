@@ -5,10 +5,10 @@ import jax
 import numpy as np
 import pytest
 import trimesh
+from peers.triangle_truth import in_coal, winding
 from robot_files import write
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
-from triangle_truth import in_coal, winding
 
 import jaxik
 from jaxik.collision.surface_trees import closes, order_of, roomy, surface_of, tree_of

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pinocchio as pin
 import pytest
-from rigid_truth import of_robot
+from peers.rigid_truth import of_robot
 
 import jaxik
 from jaxik.dynamics import Drive, Friction

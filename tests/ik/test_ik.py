@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy
-from arm import eaik_robot
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from peers.arm import eaik_robot
 from robots import ROBOTS, bare, joint_range, pinocchio, pose_errors
 
 import jaxik

@@ -8,19 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from robots import pinocchio
+from setups.pendulum import IN_PLANE, START, arm
 
 import jaxik
 from jaxik.costs import quadratic_cost
 from jaxik.motions import FollowOptions, Line, PredictiveController, PredictOptions, follow
 from jaxik.reasons import Reason
 
-IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
-START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
-
 
 @pytest.fixture(scope="module")
 def pendulum():
-    return dataclasses.replace(jaxik.load("pendulum4"), self_pairs=())
+    return arm()
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,8 @@ import pinocchio as pin
 import pytest
 from robots import bare, pinocchio
 from scipy.optimize import linprog
+from setups.pendulum import ACTIVATION, IN_PLANE, OBSTACLE, START, arm
+from setups.pendulum import path as straight
 
 import jaxik
 from jaxik.costs import energy_cost, quadratic_cost
@@ -23,10 +25,6 @@ from jaxik.motions.predictive import PredictOptions, future, objective, predict,
 from jaxik.optimise import ocp
 from jaxik.optimise.descent import QUASI_NEWTON, DescentOptions
 
-IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
-START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
-OBSTACLE, ACTIVATION = (1.0, 1.1, 0.0), 0.2
-
 
 @pytest.fixture(scope="module")
 def panda():
@@ -36,15 +34,12 @@ def panda():
 
 @pytest.fixture(scope="module")
 def pendulum():
-    return dataclasses.replace(jaxik.load("pendulum4"), self_pairs=())
+    return arm()
 
 
 @pytest.fixture(scope="module")
 def line(pendulum):
-    start = np.asarray(jaxik.forward_kinematics(pendulum, START))
-    end = start.copy()
-    end[:2, 3] = 0.5, 0.0
-    return Line(start, end)
+    return straight(pendulum)
 
 
 def near_obstacle(pendulum):

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from papers.boundary_problem import _System, boundary_value
-from pendulum import IN_PLANE, START, arm, path
 from scipy.optimize import minimize
+from setups.pendulum import IN_PLANE, START, arm, path
 
 import jaxik
 from jaxik.costs import quadratic_cost

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from papers import ilqr
-from pendulum import IN_PLANE, START, arm, path
 from scipy.optimize import lsq_linear, minimize
+from setups.pendulum import IN_PLANE, START, arm, path
 
 from jaxik.costs import quadratic_cost
 from jaxik.motions import PredictOptions, predict

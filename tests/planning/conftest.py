@@ -1,7 +1,7 @@
 """A flat arm of three joints, the last endless, among poles; and coal, which judges it."""
 
 import pytest
-from collision_peers import Coal
+from peers.collision_peers import Coal
 
 import jaxik
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
-from arm import eaik_robot
+from peers.arm import eaik_robot
 from robots import bare, pinocchio, pose_errors
 from scipy.spatial.transform import Rotation
 

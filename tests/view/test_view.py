@@ -61,7 +61,7 @@ def test_a_cell_without_a_fruit_is_shown(tmp_path):
         '[[object]]\nname = "sheet"\npolygons = [[[1.5, -1, 0], [1.5, 1, 0], [1.6, 1, 0], [1.6, -1, 0]]]\n'
     )
     page = Page(jaxik.load("planar2"), scene=jaxik.load_scene(path), port=0)
-    assert "sheet" in page.near.content and "sheet" in page.hit
+    assert "sheet" in page.near.content and "sheet" in page.drawing.hit
     page.close()
 
 
@@ -139,9 +139,9 @@ def test_the_page_names_what_collides(page):
     assert "Collides:</b> gripper and fruit_2, by 9.0 mm" in page.near.content
     red = rgb(COLOURS[jaxik.Reason.COLLISION])
     struck = {page.robot.link_names[link] for link, part in page.drawing.parts if tuple(part.color) == red}
-    assert struck == {"gripper"} and page.hit == {"gripper", "fruit_2"}
+    assert struck == {"gripper"} and page.drawing.hit == {"gripper", "fruit_2"}
     page.move(np.zeros(7))
-    assert "Clear:" in page.near.content and not page.hit
+    assert "Clear:" in page.near.content and not page.drawing.hit
 
 
 def test_the_robot_follows_a_target_or_says_why_not(page):

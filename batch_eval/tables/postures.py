@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tables_words import duration, ratio, time_each
+from tables.words import duration, ratio, time_each
 
 PUBLISHED = (  # by their authors, on their machines
     "PyRoki, batches on an RTX 4090: 15 us a pose",

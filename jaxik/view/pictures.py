@@ -1,14 +1,47 @@
-"""The picture of what a motion takes of the joints (matplotlib, no window needed)."""
+"""What all pictures share (matplotlib, no window needed), and the picture of what a motion takes of the joints."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from jaxik.kinematics.robot import Robot
+from jaxik.view.palette import INK
+from jaxik.view.solids import Solid
 
 NEAR = 0.25  # of its limit, from which on a torque is drawn beside it
+
+
+def draw_solids(axis: Any, solids: Iterable[Solid], i: int, j: int, **looks: Any) -> None:
+    """Fills the outlines of solids, as seen along the third axis; `looks` are those of a `PolyCollection`."""
+    axis.add_collection(PolyCollection([solid.outline(i, j) for solid in solids], **looks))
+
+
+def marker(colour: str, shape: str, label: str, **looks: Any) -> Line2D:
+    """A legend's entry of a marker without a line."""
+    return Line2D([], [], color=colour, marker=shape, lw=0, label=label, **looks)
+
+
+def inches(figure: Figure, *lengths: float) -> list[float]:
+    """Lengths across and up in turn [inches], as fractions of a figure's."""
+    return [length / figure.get_size_inches()[k % 2] for k, length in enumerate(lengths)]
+
+
+def write_around(
+    figure: Figure, left: float, lines: Sequence[tuple[float, str]], low: float, entries: Sequence[Any], columns: int
+) -> None:
+    """Writes a title and a line below it, each so far from the top, and a legend so far from the bottom [inches]."""
+    height = figure.get_size_inches()[1]
+    for (below, words), looks in zip(lines, ({"fontsize": 15, "weight": "bold"}, {"fontsize": 10}), strict=True):
+        figure.text(*inches(figure, left, height - below), words, color=INK, **looks)
+    place = inches(figure, left, low)
+    figure.legend(handles=entries, loc="lower left", bbox_to_anchor=place, ncols=columns, fontsize=9, frameon=False)
 
 
 def plot_torques(
@@ -16,8 +49,6 @@ def plot_torques(
 ) -> None:
     """Draws a row a joint: its torque (i, n) [Nm, N] over `time` (i,) [s], what would hold the arm at rest there (i, n), and
     its limit `robot.effort`, as a line where it is near. Host."""
-    from matplotlib.figure import Figure
-
     n = robot.num_joints
     figure = Figure(figsize=(8.0, 0.6 + 1.1 * n), layout="constrained")
     axes = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]

@@ -1,4 +1,4 @@
-"""A harvest in motion on the page: play, pause and scrub; the fruit moves with the gripper."""
+"""Panels of a harvest: the fruits, each with its posture, and the motions to play, in which fruits move with the gripper."""
 
 from __future__ import annotations
 
@@ -8,11 +8,36 @@ from typing import Any
 
 import numpy as np
 
+from jaxik.harvesting.driver import HarvestResult
 from jaxik.harvesting.harvest_plan import HarvestPlan
 from jaxik.spatial.rotations import to_wxyz
-from jaxik.view.palette import PATH, boxed, rgb
+from jaxik.view.harvest_pictures import fate, posture
+from jaxik.view.palette import PATH, boxed, marked, rgb
 from jaxik.view.solids import frames
 from jaxik.view.stage import Stage
+
+
+class FruitList:
+    """The controls of the list. The first fruit that can be picked is shown."""
+
+    def __init__(self, page: Stage, harvest: HarvestResult):
+        gui, solved = page.server.gui, int(harvest.success.sum())
+        self.page, self.rows = page, {f"{'✓' if row.success else '✗'} {row.fruit}": row for row in harvest}
+        gui.add_markdown(f"**{page.robot.name} can pick {solved} of the {len(self.rows)} fruits.** Choose one:")
+        self.chosen, self.said = gui.add_dropdown("fruit", list(self.rows)), gui.add_html("")
+        self.chosen.on_update(lambda _: self.show())
+        self.chosen.value = next((k for k, row in self.rows.items() if row.success), next(iter(self.rows)))
+        self.show()
+
+    def show(self) -> None:
+        """The one that is chosen."""
+        row: Any = self.rows[self.chosen.value]
+        q, words = posture(row), "the best posture stays" if row.success else "no posture:"
+        more = " of all but the fruit itself." if row.success else "." if q is None else ". Shown is what that would open."
+        self.said.content = marked(row.success, row.fruit, f": {words} {fate(row)}{more}")
+        if q is not None:
+            self.page.move(q)
+
 
 PERIOD = 0.02  # [s] between the postures that are known
 FRAME = 0.05  # [s] between pictures
@@ -28,14 +53,13 @@ class Player:
         self.grasped = {s.fruit: self._last(i) for i, s in enumerate(plan.stages) if s.kind == "approach"}
         self.let_go = {s.fruit: self._last(i) for i, s in enumerate(plan.stages) if s.carries}
         self.stays = any(s.kind == "transport" for s in plan.stages)  # where it is let go; else it falls into a hose, or a tray
-        self.fruits = page.draw_fruits(plan.order)
+        self.fruits = page.surroundings.draw_fruits(plan.order)
         gui, picked = page.server.gui, len(plan.order)
         each = f", {plan.cycle:.2f} s each" if picked else ""
         gui.add_markdown(f"**{plan.robot.name} picks {picked} of {len(plan)} fruits in {plan.duration:.1f} s{each}.**")
         self.time = gui.add_slider("time [s]", 0.0, max(round(plan.duration, 2), PERIOD), PERIOD, 0.0)
         self.button, self.speed = gui.add_button("Play"), gui.add_dropdown("speed", list(SPEEDS))
-        self.said = gui.add_html("")
-        self._say("Play, or drag the time.")
+        self.said = gui.add_html(boxed("Play, or drag the time."))
         self.playing = threading.Event()
         self.thread: threading.Thread | None = None
         self.time.on_update(self._dragged)
@@ -93,11 +117,7 @@ class Player:
             where = i if held else self.let_go[name] if name in gone else self.grasped[name]
             moved = self.tips[where] @ np.linalg.inv(self.tips[self.grasped[name]])
             fruit.wxyz, fruit.position = to_wxyz(moved[:3, :3]), moved[:3, 3]
-        here = self.plan.scene.object_names
-        near = {*gone, stage.fruit} if stage.kind == "approach" else {*gone}
-        self.page.show_among(self.plan.scene.without([name for name in here if name in near]), np.asarray(self.samples.q[i]))
+        self.page.scene = self.plan.scene.without([*gone, *([stage.fruit] if stage.kind == "approach" else [])])
+        self.page.move(np.asarray(self.samples.q[i]))
         words = f"{stage.kind} of {stage.fruit}" if stage.fruit else "the way home"
-        self._say(f"{len(gone)} picked; {words}")
-
-    def _say(self, words: str) -> None:
-        self.said.content = boxed(words)
+        self.said.content = boxed(f"{len(gone)} picked; {words}")

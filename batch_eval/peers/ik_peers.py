@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pinocchio as pin
-from arm import eaik_robot
-from panda import TIP
-from problems import POSITION, ROTATION
+from peers.arm import eaik_robot
+from peers.panda import TIP
+from setups.problems import POSITION, ROTATION
 
 from jaxik import Robot
 

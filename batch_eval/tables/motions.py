@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tables_words import duration, first_calls
+from tables.words import duration, first_calls
 
 
 def predictive_markdown(result: dict[str, Any]) -> str:

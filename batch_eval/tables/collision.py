@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import Any
 
-from tables_words import duration, ratio
+from tables.words import duration, ratio
 
 VAMP = (  # Thomason, Kingston and Kavraki 2024: C++ generated for each robot, which does not build here
     "VAMP plans a whole motion of the Panda among the same scenes in 35 us on one core of an AMD Ryzen 9 7950X, in "

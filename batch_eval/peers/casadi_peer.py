@@ -13,7 +13,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import self_collision as case
+from setups import self_collision as case
 
 import jaxik
 

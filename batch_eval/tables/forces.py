@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import Any
 
-from tables_words import duration, ratio
+from tables.words import duration, ratio
 
 
 def dynamics_markdown(result: dict[str, Any]) -> str:
