@@ -16,8 +16,9 @@ import numpy as np
 from jaxik.checks.arrays import numbers, rigid_frame
 from jaxik.checks.options import shown
 from jaxik.collision.scene import LIMIT
+from jaxik.files.documents import MAX_BYTES
 from jaxik.files.polygon_files import READERS, read_polygons
-from jaxik.files.robot_builder import MAX_BYTES, Link
+from jaxik.files.robot_builder import Link
 from jaxik.fitting.link_distance_tables import SECTIONS
 from jaxik.fitting.links import Shape
 from jaxik.kinematics.robot import Robot

@@ -21,10 +21,10 @@ from numpy.polynomial import Polynomial
 
 from jaxik.checks.options import among, optional
 from jaxik.dynamics.recursions import GRAVITY
+from jaxik.files.documents import parse
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, home, resolve
 from jaxik.files.robot_builder import Joint, Link, Notes, all_driven, assemble, displacement, listed, rubbing, way_up
-from jaxik.files.xml import parse
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import frame, from_wxyz

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from jaxik.checks.options import among
+from jaxik.files.documents import XACRO, attribute, number, numbers, parse
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, read_mesh
 from jaxik.files.robot_builder import JOINT_TYPES, Joint, Link, Notes, all_driven, assemble, rubbing, symmetric, unique, way_up
 from jaxik.files.robot_toml import TURNS
-from jaxik.files.xml import XACRO, attribute, number, numbers, parse
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import frame, from_rpy, from_wxyz

@@ -8,7 +8,7 @@ from robot_files import write
 from robots import FOLDER, ROBOTS
 
 import jaxik
-from jaxik.files.spherized import _covering
+from jaxik.files.robot_files import _covering
 from jaxik.kinematics.shapes import Volume
 
 SHIPPED = ("p6r", "crops_v2", "chembuly9", "pendulum4", "planar2")
