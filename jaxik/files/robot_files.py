@@ -12,10 +12,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from jaxik.checks.arrays import is_rigid
 from jaxik.checks.options import check_finite, check_kind, shown
 from jaxik.collision.volumes import LEVELS, box_spheres
 from jaxik.files.documents import write_text
-from jaxik.files.robot_builder import all_or_none, listed, unique
+from jaxik.files.robot_builder import COLUMNS, Joint, all_or_none, checked, listed, unique
 from jaxik.files.robot_toml import CORNERS, Table, read_drive, toml
 from jaxik.files.unchecked_pairs import check_ours, write_disabled
 from jaxik.kinematics.drive import Drive
@@ -111,8 +112,8 @@ def read_robot(model: Table) -> Robot:
         name=name,
         **_columns(rows, JOINT),
         **_columns(places, LINK),
-        joint_T_tip=model.finite("tip", (4, 4)),
-        world_T_base=model.finite("world_T_base", (4, 4)),
+        joint_T_tip=_frame(model, "tip"),
+        world_T_base=_frame(model, "world_T_base"),
         bodies=tuple(row["body"] for row in rows) if all(row["body"] for row in rows) else (),
         boxes=tuple(s for s in shapes if isinstance(s, Box)),
         volumes=tuple(s for s in shapes if isinstance(s, Volume)),
@@ -136,6 +137,13 @@ def _columns(rows: Sequence[dict[str, Any]], keys: dict[str, str]) -> dict[str, 
     """A robot's fields of the rows of a file: what is static as a tuple, numbers as an array."""
     columns = {field: [row[key] for row in rows] for key, field in keys.items()}
     return {field: tuple(c) if isinstance(c[0], str | int) else np.array(c) for field, c in columns.items()}
+
+
+def _frame(table: Table, key: str) -> np.ndarray:
+    frame = table.finite(key, (4, 4))
+    if not is_rigid(frame):
+        raise table.fail(f"'{key}' is no rigid frame", "write a right-handed rotation, and 0 0 0 1 below")
+    return frame
 
 
 def _beside(table: Table, given: Any, names: Sequence[str]) -> tuple[int, str]:
@@ -195,12 +203,11 @@ def _unchecked(table: Table, names: Sequence[str]) -> Unchecked:
 
 def _joint(table: Table) -> dict[str, Any]:
     row: dict[str, Any] = {"name": table.named(), "type": table.text("type", None, get_args(JointType))}
-    row |= {"frame": table.finite("frame", (4, 4)), "axis": table.finite("axis", (3,)), "body": None}
+    row |= {"frame": _frame(table, "frame"), "axis": table.finite("axis", (3,)), "body": None}
     row |= {key: table.number(key, "plain") for key in ("lower", "upper", "velocity")}
     row["effort"] = table.number("effort", "plain", np.inf)
     row["armature"] = float(table.finite("armature", (), 0.0, default=0.0))
-    if not row["lower"] <= row["upper"]:
-        raise table.fail("lower > upper", "swap them")
+    checked(table.path, Joint(row["name"], row["type"], row["frame"], "", **{key: row[key] for key in COLUMNS}))
     if "mass" in table.content:
         row["body"] = Body(table.finite("mass", ()), table.finite("com", (3,)), table.finite("inertia", (3, 3)))
     row["drive"] = read_drive(table)
@@ -211,14 +218,14 @@ def _link(table: Table, joints: int) -> dict[str, Any]:
     name, joint = table.named(), table.number("joint", "plain")
     if joint not in range(joints + 1):
         raise table.fail(f"joint = {joint:g}", f"the number of joints before it, 0 to {joints}")
-    return {"name": name, "joint": int(joint), "frame": table.finite("frame", (4, 4)), "unread": table.flag("unread")}
+    return {"name": name, "joint": int(joint), "frame": _frame(table, "frame"), "unread": table.flag("unread")}
 
 
 def _shape(table: Table, names: Sequence[str]) -> Box | Volume:
     link = names.index(table.text("link", None, names))
     kind = table.text("kind", None, ("box", *CORNERS))
     if kind == "box":
-        return Box(table.finite("frame", (4, 4)), table.finite("half", (3,), 0.0), link)
+        return Box(_frame(table, "frame"), table.finite("half", (3,), 0.0), link)
     return Volume(table.finite("points", (CORNERS[kind], 3)), table.finite("radius", (), 0.0), link)
 
 
