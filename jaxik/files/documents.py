@@ -14,7 +14,7 @@ import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from jaxik.checks.options import nearest, shown
+from jaxik.checks.options import among, shown
 from jaxik.reasons import LoadError
 
 MAX_BYTES = 16 * 2**20  # of a robot or scene file; a mesh may have four times that
@@ -38,9 +38,8 @@ def locate(source: str | Path, what: str = "robot") -> Path:
         return shipped[str(source)]
     if os.path.exists(path):  # of a name that no file can have, too
         return path  # to be told that a file needs an ending
-    close = nearest(str(source).lower(), list(shipped))
-    meant = f"did you mean '{close}'? " if close else ""
-    raise LoadError(shown(source), what, f"no such shipped {what}", f"{meant}shipped: {', '.join(shipped)}; or give a file")
+    mend = among(str(source).lower(), list(shipped), "shipped", len(shipped))
+    raise LoadError(shown(source), what, f"no such shipped {what}", f"{mend}; or give a file")
 
 
 @contextlib.contextmanager

@@ -160,9 +160,8 @@ class Table:
         """Refuse every other key."""
         unknown = sorted(str(key) for key in set(self.content) - set(allowed))
         if unknown:
-            meant = nearest(unknown[0], list(allowed))
-            mend = f"did you mean '{meant}'? " if meant else ""
-            raise self.fail(f"unknown key '{unknown[0][:40]}'", f"{mend}allowed: {', '.join(sorted(allowed))}")
+            known = sorted(allowed)
+            raise self.fail(f"unknown key '{unknown[0][:40]}'", among(unknown[0], known, most=len(known)))
 
     def _misspelt(self, key: str) -> str:
         """The question whether a key that nobody asked for stands for the one that is missing."""
