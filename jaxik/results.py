@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import jax
 import numpy as np
@@ -14,16 +14,19 @@ from jaxik.pytree import Pytree
 from jaxik.reasons import Reason
 
 
-class Result(Pytree):
+class _Reasoned:
+    """A class whose `reason` is a field, or a property, of its subclasses."""
+
+    reason: Any
+
+
+class Result(_Reasoned, Pytree):
     """A pytree whose arrays have the leading axis of what was asked; a single result holds the entries themselves.
 
     `reason` holds a `Reason`, or an array of their numbers; `why` says it in words, after the place in a field `where`. A tuple
     as a field has one entry a row, and `static` fields belong to all rows. `len`, iteration and indices go by rows, a single
     result being one row. A single result is true if it is solved; what a batch's truth is must be asked of `success`.
     """
-
-    if TYPE_CHECKING:
-        reason: Any  # a field of a subclass, or a property
 
     HELP: ClassVar[Mapping[Reason, str]] = {}  # what helps where it ended for a reason
     ROW: ClassVar[str] = "result"  # what one row is called where its truth is asked for
