@@ -30,24 +30,16 @@ Own = TypeVar("Own", bound="Options")  # not Self, which beartype knows in class
 
 @dataclasses.dataclass(frozen=True)
 class Field:
-    """The declaration of a field: its unit, its words, its choices, and `kept`, which turns who asks, the name and the given
-    value into the value that is kept, or raises `ValueError` for one that is not allowed."""
+    """The declaration of a field: its unit, its words, and `kept`, which turns who asks, the name and the given value into the
+    value that is kept, or raises `ValueError` for one that is not allowed."""
 
     unit: str
     words: str
-    choices: tuple[Any, ...]
     kept: Callable[[str, str, Any], Any]
 
 
-def _declared(
-    default: Any,
-    unit: str,
-    words: str,
-    kept: Callable[[str, str, Any], Any],
-    choices: tuple[Any, ...] = (),
-    kw_only: bool = True,
-) -> Any:
-    metadata = {"option": Field(unit, words, choices, kept)}
+def _declared(default: Any, unit: str, words: str, kept: Callable[[str, str, Any], Any], kw_only: bool = True) -> Any:
+    metadata = {"option": Field(unit, words, kept)}
     if callable(getattr(default, "__hash__", None)) or default is REQUIRED:
         return dataclasses.field(default=default, metadata=metadata, kw_only=kw_only)
     return dataclasses.field(default_factory=lambda: type(default)(default), metadata=metadata)  # a dict, a list
@@ -94,7 +86,7 @@ def count(
             raise ValueError(f"{who}: {name} is {whole}; at most {most}")
         return whole
 
-    return _declared(default, "", words, kept, also)
+    return _declared(default, "", words, kept)
 
 
 def choice(*, default: Any = REQUIRED, words: str, kinds: Any, also: tuple[Any, ...] = ()) -> Any:
@@ -105,7 +97,7 @@ def choice(*, default: Any = REQUIRED, words: str, kinds: Any, also: tuple[Any, 
             return value
         raise ValueError(f"{who}: {name} '{shown(value)}'; allowed: {', '.join(map(str, (*get_args(kinds), *also)))}")
 
-    return _declared(default, "", words, kept, (*get_args(kinds), *also))
+    return _declared(default, "", words, kept)
 
 
 def flag(*, default: Any = REQUIRED, words: str) -> Any:

@@ -71,7 +71,7 @@ class Result(_Reasoned, Pytree):
         """The result of one row, or of those that a slice, mask or list picks."""
         if self.single:
             number = np.arange(1)[rows]
-            return self if number.ndim == 0 else type(self).stacked([self] * len(number))
+            return self if number.ndim == 0 else type(self).stacked([self])[number.reshape(-1)]
         count, of = len(self), vars(self)
         given = {name: _picked(of[name], rows, count) for name in self._names()[0]}
         if "reason" in given and np.ndim(given["reason"]) == 0:  # it may be a property

@@ -34,10 +34,9 @@ def check_finite(who: str, least: float = -math.inf, **numbers: Any) -> None:
 
 def is_finite_number(value: Any) -> bool:
     """Whether it is a finite number, and no truth value."""
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
     try:
-        return (
-            isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool) and math.isfinite(value)
-        )
+        return number and math.isfinite(value)
     except OverflowError:  # a whole number beyond the floats
         return False
 
@@ -83,12 +82,12 @@ def nearest(name: str, names: Sequence[str], alike: float = 0.6) -> str | None:
     return next(iter(difflib.get_close_matches(name, names, 1, alike)), None)
 
 
-def among(name: str, names: Sequence[str], what: str = "allowed") -> str:
-    """The mend for a `name` that is none of `names`: the nearest of them, and the first few."""
+def among(name: str, names: Sequence[str], what: str = "allowed", most: int = 8) -> str:
+    """The mend for a `name` that is none of `names`: the nearest of them, and the first ones."""
     close = nearest(name, names)
     meant = f"did you mean '{shown(close)}'? " if close else ""
-    rest = f", ... ({len(names)} in all)" if len(names) > 8 else ""
-    return f"{meant}{what}: {', '.join(map(shown, names[:8])) or 'none'}{rest}"
+    rest = f", ... ({len(names)} in all)" if len(names) > most else ""
+    return f"{meant}{what}: {', '.join(map(shown, names[:most])) or 'none'}{rest}"
 
 
 def no_such(who: str, what: str, name: str, names: Sequence[str]) -> str:

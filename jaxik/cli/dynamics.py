@@ -98,9 +98,7 @@ class DynamicsArguments(RobotArguments):
             warnings.warn(f"{self.motion}: samples are {period:.4g} s apart; are these milliseconds?", stacklevel=2)
 
     def _derived(self, of_rates: bool) -> str:
-        what = (
-            "accelerations are derivatives of velocities" if of_rates else "accelerations are second derivatives of positions"
-        )
+        what = f"accelerations are {'derivatives of velocities' if of_rates else 'second derivatives of positions'}"
         noise = "of measured ones mostly noise: --smooth HZ" if self.smooth is None else f"smoothed below {self.smooth:g} Hz"
         return f"{what}, {noise}"
 

@@ -59,27 +59,20 @@ class FitArguments(RobotArguments):
             show = lambda done, of: bar.update(line, completed=done, total=of)
             report = jaxik.files.fit_report(self.robot, progress=show, **what)
             if not report.links:
-                none = "has no meshes to fit to; its shapes are those of its file"
-                raise ValueError(f"{self.robot}: {none}")
+                raise ValueError(f"{self.robot}: has no meshes to fit to; its shapes are those of its file")
         seconds = time.perf_counter() - start
         robot = jaxik.load(self.robot, meshes=True, exact=self.exact, **what)
-        print_table(
-            f"{robot.name}: convex parts of its meshes, and capsules around them, lengths in mm",
-            HEADINGS,
-            map(_cells, report.links),
-        )
+        title = f"{robot.name}: convex parts of its meshes, and capsules around them, lengths in mm"
+        print_table(title, HEADINGS, map(_cells, report.links))
         print_table("pairs of links", PAIRS, map(_pair, report.pairs))
         if report.held:
             print_table("joints beside the chain, which are held", HELD, map(_held, report.held))
-            print(
-                "what these joints carry collides as it does at these values alone; --posture JOINT=VALUE holds them elsewhere"
-            )
+            print("what they carry collides as it does at these values alone; --posture JOINT=VALUE holds them elsewhere")
         false = max(row.false for row in report.links)
         print(
             f"{len(robot.convex_parts)} convex parts, {len(robot.volumes)} volumes, "
             f"{len(robot.self_pairs)} pairs of links to check, {len(robot.pair_tables)} of them with a table of distances, "
-            f"in {seconds:.1f} s; "
-            f"the worst link falsely collides with others in {false:.1%} of random configurations"
+            f"in {seconds:.1f} s; the worst link falsely collides with others in {false:.1%} of random configurations"
         )
         if self.to is not None:
             with naming(self.to, "--to"):

@@ -97,9 +97,8 @@ class HarvestArguments(HARVEST, MOTIONS, ShapedRobotArguments):
         for name in ("home", "place"):
             count = len(getattr(self, name))
             if count % joints or (name == "home" and count > joints):
-                raise ValueError(
-                    f"--{name}: {count} numbers; allowed: {joints}{' or a multiple of it' if name == 'place' else ''}"
-                )
+                also = " or a multiple of it" if name == "place" else ""
+                raise ValueError(f"--{name}: {count} numbers; allowed: {joints}{also}")
         places = {"home": self.home or None, "place": np.reshape(self.place, (-1, joints)) if self.place else None}
         return HarvestPlanOptions(**given(self, HarvestPlanOptions) | places)
 

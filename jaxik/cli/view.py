@@ -44,25 +44,14 @@ class ViewArguments(ShapedRobotArguments):
         robot = jaxik.load(self.robot, **how)
         harvest = self.harvest or self.motions
         if harvest and self.scene is None:
-            raise ValueError(
-                f"--{'harvest' if self.harvest else 'motions'}: needs a --scene with fruits, e.g. --scene cucumber_row"
-            )
+            asked = "harvest" if self.harvest else "motions"
+            raise ValueError(f"--{asked}: needs a --scene with fruits, e.g. --scene cucumber_row")
         scene = None if self.scene is None else jaxik.load_scene(self.scene)
         picked = jaxik.harvest(robot, scene) if harvest and scene is not None else None
         plan = plan_harvest(picked) if self.motions and picked is not None else None
         read = self.meshes and not robot.surfaces  # which are what is to be seen
-        asked = {"tip": self.tip, "base": self.base, "posture": how["posture"], "packages": self.packages}
-        meshes = link_meshes(self.robot, **asked) if read else ()
-        page = Page(
-            robot,
-            scene=scene,
-            store=self.store,
-            harvest=picked,
-            plan=plan,
-            meshes=meshes,
-            teleop=self.teleop,
-            host=self.host,
-            port=self.port,
-        )
+        meshes = link_meshes(self.robot, **{name: how[name] for name in ("tip", "base", "posture", "packages")}) if read else ()
+        own = {name: getattr(self, name) for name in ("store", "teleop", "host", "port")}
+        page = Page(robot, scene=scene, harvest=picked, plan=plan, meshes=meshes, **own)
         print(f"open {page.url} in a browser; Ctrl-C ends", flush=True)
         page.wait()

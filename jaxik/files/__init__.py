@@ -1,9 +1,9 @@
 """Robots, scenes and targets from files and to files: the only place that reads them."""
 
-from jaxik.files.loading import LoadOptions, fit_report, link_meshes, load, load_scene
+from jaxik.files.loading import LoadOptions, fit_report, link_meshes, load
 from jaxik.files.mesh import load_mesh
 from jaxik.files.robot_files import save
-from jaxik.files.scene import save_scene
+from jaxik.files.scene import load_scene, save_scene
 from jaxik.files.targets import load_targets
 
 __all__ = [

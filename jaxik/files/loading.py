@@ -12,16 +12,14 @@ import numpy as np
 
 from jaxik.checks.arrays import rigid_frame
 from jaxik.checks.options import check_finite, check_kind, shown
-from jaxik.collision.scene import Scene
 from jaxik.collision.self_collision_pairs import self_collisions
-from jaxik.files import scene as scene_files
+from jaxik.files.documents import locate
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, as_packages
 from jaxik.files.mjcf import load_mjcf
 from jaxik.files.robot_builder import Notes
 from jaxik.files.robot_files import read_robot
 from jaxik.files.robot_toml import load_toml, read_toml
-from jaxik.files.shipped import locate
 from jaxik.files.unchecked_pairs import asked_pairs, disabled_pairs, ignored
 from jaxik.files.urdf import load_urdf
 from jaxik.fitting.capsules import FitOptions
@@ -276,11 +274,3 @@ def link_meshes(
     """Returns the collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look
     at: for `view.Page`. `options` and `changes` are those of `load`. Host."""
     return _Read.of(path, tip, base, LoadOptions.chosen(options, {"meshes": True} | changes), True).shapes
-
-
-def load_scene(path: str | Path) -> Scene:
-    """Reads a shipped scene (`"cucumber_row"`) or a scene file: `.toml`, or labelled points as `.csv` or `.ply`. Host.
-
-    Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend.
-    """
-    return scene_files.load_scene(locate(path, "scene"))

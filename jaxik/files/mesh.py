@@ -16,8 +16,9 @@ import numpy as np
 from jaxik.checks.arrays import numbers, rigid_frame
 from jaxik.checks.options import shown
 from jaxik.collision.scene import LIMIT
+from jaxik.files.documents import MAX_BYTES
 from jaxik.files.polygon_files import READERS, read_polygons
-from jaxik.files.robot_builder import MAX_BYTES, Link
+from jaxik.files.robot_builder import Link
 from jaxik.fitting.link_distance_tables import SECTIONS
 from jaxik.fitting.links import Shape
 from jaxik.kinematics.robot import Robot
@@ -85,26 +86,17 @@ class Meshes:
     packages: tuple[Path, ...] = ()
     found: list[tuple[str, Shape]] = dataclasses.field(default_factory=list)
 
-    def mesh(
-        self,
-        owner: str,
-        link: Link,
-        name: str,
-        origin: np.ndarray,
-        points: np.ndarray,
-        faces: np.ndarray | None = None,
-        fine: np.ndarray | None = None,
-    ) -> None:
-        """A mesh by its corners (p, 3) in the frame `origin`, and its triangles (f, 3), those of its hull unless given."""
+    def mesh(self, owner: str, link: Link, origin: np.ndarray, shape: Shape) -> None:
+        """A shape in the frame `origin`, of a link whose number is not yet known."""
         if self.fitted:
-            if faces is not None:  # of STL each triangle has its own corners: where they are the same, they stay so when moved
-                points, number = np.unique(points, axis=0, return_inverse=True)
-                faces = number.reshape(-1)[faces]
-            self.found.append((owner, Shape(0, name, points, faces, fine).moved(origin)))
+            if shape.faces is not None:  # of STL each triangle has its own corners: those that are the same stay so when moved
+                corners, number = np.unique(shape.corners, axis=0, return_inverse=True)
+                shape = shape._replace(corners=corners, faces=number.reshape(-1)[shape.faces])
+            self.found.append((owner, shape.moved(origin)))
         else:
             import trimesh  # half a second to import, and only meshes need it
 
-            to_origin, extents = trimesh.bounds.oriented_bounds(points)  # of the smallest box around
+            to_origin, extents = trimesh.bounds.oriented_bounds(shape.corners)  # of the smallest box around
             link.boxes.append((origin @ np.linalg.inv(to_origin), np.asarray(extents) / 2.0))
 
     def shapes(self, robot: Robot) -> list[Shape]:
@@ -120,7 +112,7 @@ class Meshes:
 def add_box(meshes: Meshes, owner: str, link: Link, origin: np.ndarray, half: np.ndarray) -> None:
     """A box, to be fitted like a mesh where meshes are."""
     if meshes.fitted:
-        meshes.mesh(owner, link, "box", origin, half * [*itertools.product((-1.0, 1.0), repeat=3)])
+        meshes.mesh(owner, link, origin, Shape(0, "box", half * [*itertools.product((-1.0, 1.0), repeat=3)]))
     else:
         link.boxes.append((origin, half))
 
@@ -133,9 +125,8 @@ def add_capsule(link: Link, origin: np.ndarray, radius: float, half: float) -> N
 def add_cylinder(meshes: Meshes, owner: str, link: Link, origin: np.ndarray, radius: float, half: float) -> None:
     """A cylinder about its frame's z, as a prism around it where meshes are fitted; a box otherwise."""
     if meshes.fitted:
-        fine = prism(radius, half)
         coarse = prism(radius + ROUND, half, SECTIONS)[: 2 * SECTIONS, 0]  # which holds the fine one
-        meshes.mesh(owner, link, "cylinder", origin, coarse, fine=fine)
+        meshes.mesh(owner, link, origin, Shape(0, "cylinder", coarse, fine=prism(radius, half)))
     else:
         link.boxes.append((origin, np.array([radius, radius, half])))
 

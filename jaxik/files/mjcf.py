@@ -21,10 +21,11 @@ from numpy.polynomial import Polynomial
 
 from jaxik.checks.options import among, optional
 from jaxik.dynamics.recursions import GRAVITY
+from jaxik.files.documents import parse
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, home, resolve
 from jaxik.files.robot_builder import Joint, Link, Notes, all_driven, assemble, displacement, listed, rubbing, way_up
-from jaxik.files.xml import parse
+from jaxik.fitting.links import Shape
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import frame, from_wxyz
@@ -287,7 +288,7 @@ def _link(model: Any, body: int, name: str, meshes: Meshes, solid: np.ndarray) -
             corner, face = int(mesh.vertadr[0]), int(mesh.faceadr[0])
             points = np.array(model.mesh_vert[corner : corner + int(mesh.vertnum[0])], np.float64)
             faces = np.array(model.mesh_face[face : face + int(mesh.facenum[0])])
-            meshes.mesh(name, link, mesh.name, body_T_geom, points, faces)
+            meshes.mesh(name, link, body_T_geom, Shape(0, mesh.name, points, faces))
         else:
             centre, half = np.split(np.array(model.geom_aabb[i]), 2)
             add_box(meshes, name, link, body_T_geom @ frame(centre), half)

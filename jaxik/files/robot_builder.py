@@ -6,11 +6,10 @@
 from __future__ import annotations
 
 import collections
-import contextlib
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -24,7 +23,6 @@ from jaxik.spatial.rotations import about, frame
 
 NAMED = 4  # in one line
 LEAVES = 40  # that a line names
-MAX_BYTES = 16 * 2**20  # of a robot or scene file; a mesh may have four times that
 COLUMNS = ("axis", "lower", "upper", "velocity", "effort", "armature")  # numbers of a joint that a robot has, too
 JOINT_TYPES = (*get_args(JointType), "fixed")
 
@@ -89,27 +87,6 @@ class Link:
     boxes: list[tuple[np.ndarray, np.ndarray]] = dataclasses.field(default_factory=list)
     volumes: list[tuple[np.ndarray, float]] = dataclasses.field(default_factory=list)
     meshes: list[str] = dataclasses.field(default_factory=list)
-
-
-@contextlib.contextmanager
-def opened(path: Path, most: int = MAX_BYTES) -> Iterator[BinaryIO]:
-    """The file, to read its bytes; or the one line that says why not."""
-    if "\0" in str(path):
-        raise LoadError(repr(str(path)), "file", "cannot be read (its name holds a null character)", "check the path")
-    try:
-        size = path.stat().st_size
-        if size > most:
-            raise LoadError(path, "file", f"{size} bytes", f"at most {most} are read")
-        with path.open("rb") as file:
-            yield file
-    except OSError as error:
-        raise LoadError(path, "file", f"cannot be read ({error.strerror or error})", "check the path") from None
-
-
-def read_bytes(path: Path) -> bytes:
-    """The file's content, or the one line that says why not."""
-    with opened(path) as file:
-        return file.read()
 
 
 def unique(file: Path, kind: str, names: Iterable[str]) -> None:

@@ -1,29 +1,38 @@
-"""A robot to a file and back: TOML to the last bit, or a URDF whose links are spheres, for other programs."""
+"""A robot to a file and back: TOML to the last bit, or a URDF whose links are spheres, which other programs
+read (PyRoki, cuRobo, VAMP's generator)."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
+from xml.etree import ElementTree
 
 import numpy as np
 
+from jaxik.checks.arrays import is_rigid
 from jaxik.checks.options import check_finite, check_kind, shown
-from jaxik.collision.volumes import LEVELS
-from jaxik.files.robot_builder import all_or_none, listed, unique
-from jaxik.files.robot_toml import CORNERS, Table, read_drive
-from jaxik.files.spherized import spherized
+from jaxik.collision.volumes import LEVELS, box_spheres
+from jaxik.files.documents import write_text
+from jaxik.files.robot_builder import COLUMNS, Joint, all_or_none, checked, listed, unique
+from jaxik.files.robot_toml import CORNERS, Table, read_drive, toml
 from jaxik.files.unchecked_pairs import check_ours, write_disabled
-from jaxik.files.writing import toml, write_text
+from jaxik.kinematics.drive import Drive
 from jaxik.kinematics.link_distance_table import PairTable, packed, unpacked
 from jaxik.kinematics.robot import Body, JointType, Robot
 from jaxik.kinematics.shapes import Box, ConvexPart, Surface, Unchecked, UncheckedReason, Volume
+from jaxik.spatial.rotations import to_rpy
 
 # what a file calls the fields of a robot that have a row a joint, or a row a link
 JOINT = {"name": "joint_names", "type": "joint_types", "frame": "parent_T_joint", "axis": "axis"}
 JOINT |= {limit: limit for limit in ("lower", "upper", "velocity", "effort", "armature")}
 LINK = {"name": "link_names", "joint": "link_joint", "frame": "link_offset"}
+LOST = (
+    "the .srdf beside it names the pairs of links that are not to be checked; tables of distances, ignored objects and the "
+    "inertia of rotors are lost, and of drives all but coulomb and viscous friction"
+)
 
 
 def save(robot: Robot, path: str | Path, *, beyond: float = 0.005) -> float:
@@ -103,8 +112,8 @@ def read_robot(model: Table) -> Robot:
         name=name,
         **_columns(rows, JOINT),
         **_columns(places, LINK),
-        joint_T_tip=model.finite("tip", (4, 4)),
-        world_T_base=model.finite("world_T_base", (4, 4)),
+        joint_T_tip=_frame(model, "tip"),
+        world_T_base=_frame(model, "world_T_base"),
         bodies=tuple(row["body"] for row in rows) if all(row["body"] for row in rows) else (),
         boxes=tuple(s for s in shapes if isinstance(s, Box)),
         volumes=tuple(s for s in shapes if isinstance(s, Volume)),
@@ -112,22 +121,29 @@ def read_robot(model: Table) -> Robot:
         unread_meshes=tuple(place["name"] for place in places if place["unread"]),
         drives=all_or_none(model.path, {row["name"]: row["drive"] for row in rows}),
     )
-    pairs = [_two(model, "pairs", pair, names) for pair in model.listed("pairs")]
-    tables = [_table(table, robot) for table in model.tables("table")]
-    left = [_unchecked(table, names) for table in model.tables("unchecked")]
-    surfaces = [_surface(table, names) for table in model.tables("surface")]
-    parts = [_part(table, names) for table in model.tables("part")]
-    beside = [_beside(model, entry, names) for entry in model.listed("ignored_objects")]
+    more: dict[str, Any] = {
+        "self_pairs": tuple(_two(model, "pairs", pair, names) for pair in model.listed("pairs")),
+        "pair_tables": tuple(_table(table, robot) for table in model.tables("table")),
+        "unchecked": tuple(_unchecked(table, names) for table in model.tables("unchecked")),
+        "surfaces": tuple(_surface(table, names) for table in model.tables("surface")),
+        "convex_parts": tuple(_part(table, names) for table in model.tables("part")),
+        "ignored": tuple(_beside(model, entry, names) for entry in model.listed("ignored_objects")),
+    }
     model.close()
-    robot = dataclasses.replace(robot, self_pairs=tuple(pairs), ignored=tuple(beside))
-    robot = dataclasses.replace(robot, pair_tables=tuple(tables), unchecked=tuple(left))
-    return dataclasses.replace(robot, surfaces=tuple(surfaces), convex_parts=tuple(parts))
+    return dataclasses.replace(robot, **more)
 
 
 def _columns(rows: Sequence[dict[str, Any]], keys: dict[str, str]) -> dict[str, Any]:
     """A robot's fields of the rows of a file: what is static as a tuple, numbers as an array."""
     columns = {field: [row[key] for row in rows] for key, field in keys.items()}
     return {field: tuple(c) if isinstance(c[0], str | int) else np.array(c) for field, c in columns.items()}
+
+
+def _frame(table: Table, key: str) -> np.ndarray:
+    frame = table.finite(key, (4, 4))
+    if not is_rigid(frame):
+        raise table.fail(f"'{key}' is no rigid frame", "write a right-handed rotation, and 0 0 0 1 below")
+    return frame
 
 
 def _beside(table: Table, given: Any, names: Sequence[str]) -> tuple[int, str]:
@@ -187,12 +203,11 @@ def _unchecked(table: Table, names: Sequence[str]) -> Unchecked:
 
 def _joint(table: Table) -> dict[str, Any]:
     row: dict[str, Any] = {"name": table.named(), "type": table.text("type", None, get_args(JointType))}
-    row |= {"frame": table.finite("frame", (4, 4)), "axis": table.finite("axis", (3,)), "body": None}
+    row |= {"frame": _frame(table, "frame"), "axis": table.finite("axis", (3,)), "body": None}
     row |= {key: table.number(key, "plain") for key in ("lower", "upper", "velocity")}
     row["effort"] = table.number("effort", "plain", np.inf)
     row["armature"] = float(table.finite("armature", (), 0.0, default=0.0))
-    if not row["lower"] <= row["upper"]:
-        raise table.fail("lower > upper", "swap them")
+    checked(table.path, Joint(row["name"], row["type"], row["frame"], "", **{key: row[key] for key in COLUMNS}))
     if "mass" in table.content:
         row["body"] = Body(table.finite("mass", ()), table.finite("com", (3,)), table.finite("inertia", (3, 3)))
     row["drive"] = read_drive(table)
@@ -203,12 +218,130 @@ def _link(table: Table, joints: int) -> dict[str, Any]:
     name, joint = table.named(), table.number("joint", "plain")
     if joint not in range(joints + 1):
         raise table.fail(f"joint = {joint:g}", f"the number of joints before it, 0 to {joints}")
-    return {"name": name, "joint": int(joint), "frame": table.finite("frame", (4, 4)), "unread": table.flag("unread")}
+    return {"name": name, "joint": int(joint), "frame": _frame(table, "frame"), "unread": table.flag("unread")}
 
 
 def _shape(table: Table, names: Sequence[str]) -> Box | Volume:
     link = names.index(table.text("link", None, names))
     kind = table.text("kind", None, ("box", *CORNERS))
     if kind == "box":
-        return Box(table.finite("frame", (4, 4)), table.finite("half", (3,), 0.0), link)
+        return Box(_frame(table, "frame"), table.finite("half", (3,), 0.0), link)
     return Volume(table.finite("points", (CORNERS[kind], 3)), table.finite("radius", (), 0.0), link)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# A URDF of spheres
+
+
+def spherized(robot: Robot, beyond: float) -> tuple[str, float]:
+    """A URDF of a robot whose links are spheres, and how far these reach beyond the robot's volumes [m], at most `beyond`.
+
+    Raises `ValueError` for a robot whose meshes were not read.
+    """
+    if robot.unread_meshes:
+        raise ValueError(f"save: the meshes of {listed(robot.unread_meshes)} are not read; load with meshes=True")
+    root = ElementTree.Element("robot", name=robot.name)
+    names = _frame_names(robot)
+    spheres: dict[int, list[tuple[np.ndarray, float]]] = {i: [] for i in range(len(robot.link_names))}
+    reach = 0.0
+    for volume in robot.volumes:
+        centres, more = _covering(np.asarray(volume.corners), float(volume.radius), beyond)
+        spheres[volume.link] += [(centre, float(volume.radius) + more) for centre in centres]
+        reach = max(reach, more)
+    for box in robot.boxes:
+        middles, size = box_spheres(box, robot.spheres_per_box)
+        spheres[box.link] += [(np.asarray(middle), float(size)) for middle in middles]
+    tool = _free("tool", (*names, *robot.link_names))
+    every = dict.fromkeys((*names, *robot.link_names, tool))
+    elements = {name: ElementTree.SubElement(root, "link", name=name) for name in every}
+    for i, name in enumerate(robot.link_names):
+        element = elements[name]
+        if name in names and robot.bodies and robot.link_joint[i]:  # it stands for the frame of what moves with a joint
+            _inertial(element, robot.bodies[robot.link_joint[i] - 1])
+        back = np.linalg.inv(robot.link_offset[i])
+        for centre, radius in spheres[i]:
+            collision = ElementTree.SubElement(element, "collision")
+            ElementTree.SubElement(collision, "origin", xyz=_words(back[:3, :3] @ centre + back[:3, 3]), rpy="0 0 0")
+            ElementTree.SubElement(ElementTree.SubElement(collision, "geometry"), "sphere", radius=repr(float(radius)))
+    for i, name in enumerate(robot.joint_names):
+        joint = _joined(root, name, robot.joint_types[i], names[i], names[i + 1], robot.parent_T_joint[i])
+        ElementTree.SubElement(joint, "axis", xyz=_words(robot.axis[i]))
+        ends = {} if robot.joint_types[i] == "continuous" else {"lower": robot.lower[i], "upper": robot.upper[i]}
+        effort = robot.effort[i] if np.isfinite(robot.effort[i]) else 0.0  # which the format wants of every joint
+        limit = ends | {"velocity": robot.velocity[i], "effort": effort}
+        ElementTree.SubElement(joint, "limit", {k: repr(float(v)) for k, v in limit.items() if np.isfinite(v)})
+        if robot.drives:
+            ElementTree.SubElement(joint, "dynamics", _friction(robot.drives[i]))
+    placed = zip(robot.link_names, robot.link_joint, robot.link_offset, strict=True)
+    fixed = [(name, names[joint], offset) for name, joint, offset in placed if name not in names]
+    for name, parent, frame in (*fixed, (tool, names[-1], robot.joint_T_tip)):
+        _joined(root, _free(f"{name}_fixed", robot.joint_names), "fixed", parent, name, frame)
+    count = sum(map(len, spheres.values()))
+    note = f"{count} spheres, which reach at most {1e3 * reach:.1f} mm beyond the collision model; the tip is '{tool}'"
+    root.insert(0, ElementTree.Comment(f" {note} "))
+    root.insert(1, ElementTree.Comment(f" {LOST} "))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n", reach
+
+
+def _frame_names(robot: Robot) -> list[str]:
+    """A link for the base's frame and each joint's: one of the robot's that stands there, or another."""
+    found: list[str] = []
+    for joint in range(robot.num_joints + 1):
+        there = [n for n, j, o in zip(robot.link_names, robot.link_joint, robot.link_offset, strict=True)
+                 if j == joint and np.array_equal(o, np.eye(4))]  # fmt: skip
+        named = "base_frame" if joint == 0 else f"{robot.joint_names[joint - 1]}_frame"
+        found.append(there[0] if there else _free(named, (*robot.link_names, *found)))
+    return found
+
+
+def _free(name: str, taken: Sequence[str]) -> str:
+    """The name, or with a number after it where it is taken."""
+    return next(n for i in itertools.count() if (n := f"{name}_{i}" if i else name) not in taken)
+
+
+def _inertial(element: ElementTree.Element, body: Body) -> None:
+    inertial = ElementTree.SubElement(element, "inertial")
+    ElementTree.SubElement(inertial, "origin", xyz=_words(body.com), rpy="0 0 0")
+    ElementTree.SubElement(inertial, "mass", value=repr(float(body.mass)))
+    entries = {f"i{'xyz'[i]}{'xyz'[j]}": repr(float(body.inertia[i, j])) for i in range(3) for j in range(i, 3)}
+    ElementTree.SubElement(inertial, "inertia", entries)
+
+
+def _friction(drive: Drive) -> dict[str, str]:
+    """A drive's friction at its joint, as a URDF has it."""
+    ratio = float(drive.ratio) if drive.friction.side == "motor" else 1.0
+    rubs = {"friction": ratio * float(drive.friction.coulomb), "damping": ratio**2 * float(drive.friction.viscous)}
+    return {key: repr(value) for key, value in rubs.items()}
+
+
+def _joined(root: Any, name: str, kind: str, parent: str, child: str, frame: Any) -> ElementTree.Element:
+    joint = ElementTree.SubElement(root, "joint", name=name, type=kind)
+    ElementTree.SubElement(joint, "parent", link=parent)
+    ElementTree.SubElement(joint, "child", link=child)
+    ElementTree.SubElement(joint, "origin", xyz=_words(frame[:3, 3]), rpy=_words(to_rpy(frame[:3, :3])))
+    return joint
+
+
+def _words(values: Any) -> str:
+    return " ".join(repr(float(x)) for x in values)
+
+
+def _covering(corners: np.ndarray, radius: float, beyond: float) -> tuple[np.ndarray, float]:
+    """Centres (k, 3) of spheres that hold a swept-sphere volume, and how far they reach beyond it, at most `beyond` [m].
+
+    What is r away from the skeleton lies across it there. So a centre on the skeleton, d from the nearest point, holds it with
+    a radius of `sqrt(r^2 + d^2)`; centres stand on the ends and edges, too, where all of them have one nearest on their own.
+    """
+    longest = max(float(np.linalg.norm(a - b)) for a in corners for b in corners)
+    if longest == 0.0:
+        return corners[:1], 0.0
+    held = np.sqrt((radius + beyond) ** 2 - radius**2)
+    share = 0.5 if len(corners) == 2 else 3.0**-0.5  # of its longest side that a point of a triangle is from its corners
+    count = int(np.ceil(share * longest / held))
+    steps = np.arange(count + 1)
+    if len(corners) == 2:
+        weights = np.stack([count - steps, steps], axis=1)
+    else:
+        weights = np.array([(i, j, count - i - j) for i in steps for j in steps if i + j <= count])
+    return weights / count @ corners, float(np.sqrt(radius**2 + (share * longest / count) ** 2) - radius)

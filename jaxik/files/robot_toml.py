@@ -7,6 +7,7 @@ degrees. A table may say where its numbers come from: `origin = {d = "paper", a 
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import tomllib
 from collections.abc import Iterable
@@ -17,10 +18,10 @@ import numpy as np
 
 from jaxik.checks.options import among, nearest, shown
 from jaxik.collision.scene import LIMIT
+from jaxik.files.documents import locate, read_bytes
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import resolve
-from jaxik.files.robot_builder import JOINT_TYPES, Joint, Link, assemble, read_bytes, symmetric, unique, way_up
-from jaxik.files.shipped import locate
+from jaxik.files.robot_builder import JOINT_TYPES, Joint, Link, assemble, symmetric, unique, way_up
 from jaxik.kinematics.drive import Drive, Friction, Side
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
@@ -32,12 +33,14 @@ UNITS = {
     "inertia": {"": 1.0, "_gm2": 1e-3},
     "plain": {"": 1.0},
 }
+UNITS |= {"reach": UNITS["length"], "turn": UNITS["angle"]}  # of a robot, whose numbers are refused where they are too large
 ORIGINS = ("paper", "catalogue", "stand-in")
 TURNS = 4.0 * math.pi  # [rad] what few joints turn
 CORNERS = {"sphere": 1, "capsule": 2, "triangle": 3}  # of swept-sphere volumes
 Shape = tuple[int, ...]
 CARRIED = 9  # models in one another
 CONVENTIONS = ("modified_dh", "standard_dh", "frames")
+DH = {"a": "reach", "d": "reach", "alpha": "turn", "theta": "turn"}
 
 
 class Table:
@@ -86,26 +89,22 @@ class Table:
             raise self.fail(f"'{given[0]}' is not {what}", f"write {f'rows of {row}' if row else what}") from None
         if np.any(np.isnan(values)):
             raise self.fail(f"'{given[0]}' holds NaN", "write numbers")
+        if given[0] == key:
+            self._check_unit(key, unit, values)
         return np.asarray(values * choices[given[0]])
 
     def number(self, key: str, unit: str, default: float | None = None) -> float:
         return float(self.array(key, unit, (), default))
 
-    def metres(self, key: str, values: np.ndarray) -> np.ndarray:
-        """The lengths that were read under `key`. Refuse one of a robot's in metres that is likely in millimetres."""
-        far = np.isfinite(values) & (np.abs(values) > LIMIT)
-        if key in self.content and far.any():
-            problem = f"{key} holds {values[far].flat[0]:g} m, over {LIMIT:g} m"
-            raise self.fail(problem, f"lengths are metres, not millimetres: write {key}_mm")
-        return values
-
-    def turned(self, key: str, default: float | None = None) -> float:
-        """An angle of a robot. Refuses one in radians of more than two turns, which is likely in degrees."""
-        value = self.number(key, "angle", default)
-        if key in self.content and TURNS < abs(value) < math.inf:
-            mend = f"write {key}_deg = {value:g} for degrees, and so many turns in degrees"
-            raise self.fail(f"{key} = {value:g} rad, over {TURNS:.4g}", mend)
-        return value
+    def _check_unit(self, key: str, unit: str, values: np.ndarray) -> None:
+        """Refuses lengths of a robot in metres that are likely in millimetres, and more than two turns, likely in degrees."""
+        far = values[np.isfinite(values) & (np.abs(values) > {"reach": LIMIT, "turn": TURNS}.get(unit, math.inf))]
+        if far.size and unit == "reach":
+            mend = f"lengths are metres, not millimetres: write {key}_mm"
+            raise self.fail(f"{key} holds {far[0]:g} m, over {LIMIT:g} m", mend)
+        if far.size:
+            mend = f"write {key}_deg = {far[0]:g} for degrees, and so many turns in degrees"
+            raise self.fail(f"{key} = {far[0]:g} rad, over {TURNS:.4g}", mend)
 
     def finite(self, key: str, shape: Shape, least: float = -math.inf, unit: str = "plain", default: Any = None) -> np.ndarray:
         """Numbers that are finite, at least one of them, and none less than `least`."""
@@ -161,9 +160,8 @@ class Table:
         """Refuse every other key."""
         unknown = sorted(str(key) for key in set(self.content) - set(allowed))
         if unknown:
-            meant = nearest(unknown[0], list(allowed))
-            mend = f"did you mean '{meant}'? " if meant else ""
-            raise self.fail(f"unknown key '{unknown[0][:40]}'", f"{mend}allowed: {', '.join(sorted(allowed))}")
+            known = sorted(allowed)
+            raise self.fail(f"unknown key '{unknown[0][:40]}'", among(unknown[0], known, most=len(known)))
 
     def _misspelt(self, key: str) -> str:
         """The question whether a key that nobody asked for stands for the one that is missing."""
@@ -204,6 +202,26 @@ def read_toml(path: Path) -> Table:
         return Table(path, "file", tomllib.loads(content.decode()))
     except (ValueError, RecursionError) as error:  # of the syntax, of UTF-8, and of an integer of too many digits
         raise LoadError(path, "document", f"malformed TOML ({error})", "mend the syntax") from None
+
+
+def toml(head: dict[str, Any], tables: Iterable[tuple[str, dict[str, Any]]]) -> str:
+    """A file of some keys, and after them tables, each with the name of the list that it is in."""
+    parts = [_lines(head), *(f"[[{name}]]\n{_lines(table)}" for name, table in tables)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _lines(table: dict[str, Any], inside: str = "") -> str:
+    """A line a key; of a table in the table, its name before each."""
+    line = lambda key, value: _lines(value, f"{key}.") if isinstance(value, dict) else f"{key} = {_written(value)}"
+    return "\n".join(line(inside + key, value) for key, value in table.items())
+
+
+def _written(value: Any) -> str:
+    """Lists as they are; numbers and arrays in the fewest digits that give them back."""
+    if isinstance(value, bool | str | list):
+        # JSON's strings are TOML's, but for one control character
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return repr(value if isinstance(value, int) else np.asarray(value, np.float64).tolist())
 
 
 @dataclasses.dataclass
@@ -272,21 +290,18 @@ def _model(row: Table, name: str, files: tuple[Path, ...]) -> tuple[list[Joint],
 
 
 def _frame(table: Table) -> np.ndarray:
-    translation = table.metres("translation", table.array("translation", "length", (3,), np.zeros(3)))
-    return frame(translation, table.turn())
+    return frame(table.array("translation", "reach", (3,), np.zeros(3)), table.turn())
 
 
 def _joint(table: Table, name: str, kind: str, convention: str) -> tuple[list[Joint], dict[str, Link]]:
     """A row of the table: its joint, for the standard convention the fixed frame that follows it, and its link."""
     link_name = table.text("link", f"{name}_link")
-    unit = "length" if kind == "prismatic" else "angle"
     after = None
     if convention == "frames":
         before = _frame(table)
         axis = table.array("axis", "plain", (3,), (0.0, 0.0, 1.0))
     else:
-        a, d = (float(table.metres(key, table.array(key, "length", (), 0.0))) for key in ("a", "d"))
-        alpha, theta = (table.turned(key, 0.0) for key in ("alpha", "theta"))
+        a, d, alpha, theta = (table.number(key, unit, 0.0) for key, unit in DH.items())
         turned, twisted = frame((0, 0, d), from_rpy((0, 0, theta))), frame((a, 0, 0), from_rpy((alpha, 0, 0)))
         axis = np.array([0.0, 0.0, 1.0])
         # Craig's (modified) row twists before its joint turns, the standard row after [Craig 2005, ch. 3]
@@ -294,9 +309,8 @@ def _joint(table: Table, name: str, kind: str, convention: str) -> tuple[list[Jo
     joint = Joint(name, kind, before, link_name, axis)
     if kind != "fixed":
         least, most = (-np.inf, np.inf) if kind == "continuous" else (None, None)
-        slid = lambda key, default: float(table.metres(key, table.array(key, "length", (), default)))
-        limit = slid if kind == "prismatic" else table.turned
-        joint.lower, joint.upper = limit("lower", least), limit("upper", most)
+        travel, unit = ("reach", "length") if kind == "prismatic" else ("turn", "angle")
+        joint.lower, joint.upper = table.number("lower", travel, least), table.number("upper", travel, most)
         joint.velocity = table.number("velocity", unit, np.inf)
         joint.effort = table.number("effort", "plain", np.inf)
         joint.drive = read_drive(table)
@@ -343,11 +357,10 @@ def _shape(table: Table, links: dict[str, Link], names: list[str]) -> None:
     link = links.setdefault(name, Link())
     kind = table.text("kind", None, ("box", *CORNERS))
     if kind == "box":
-        half = table.metres("size", table.finite("size", (3,), unit="length")) / 2.0
+        half = table.finite("size", (3,), unit="reach") / 2.0
         if not np.all(half > 0.0):
             raise table.fail("'size' is not positive", "write three sizes > 0")
         link.boxes.append((frame(table.finite("center", (3,), unit="length", default=np.zeros(3)), table.turn()), half))
     else:
-        corners = table.metres("points", table.finite("points", (CORNERS[kind], 3), unit="length"))
-        radius = table.metres("radius", table.finite("radius", (), 0.0, "length"))
+        corners, radius = table.finite("points", (CORNERS[kind], 3), unit="reach"), table.finite("radius", (), 0.0, "reach")
         link.volumes.append((corners, float(radius)))

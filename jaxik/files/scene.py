@@ -15,11 +15,10 @@ from jaxik.checks.options import check_kind, shown
 from jaxik.collision.scene import FAR, SHAPES, Mark, Scene
 from jaxik.collision.scene_builder import SceneBuilder, hanging
 from jaxik.collision.surfaces import as_bodies
+from jaxik.files.documents import locate, read_bytes, write_text
 from jaxik.files.mesh import load_mesh, resolve
-from jaxik.files.robot_builder import read_bytes
-from jaxik.files.robot_toml import Table, read_toml
+from jaxik.files.robot_toml import Table, read_toml, toml
 from jaxik.files.targets import folded, metre_of, point_columns
-from jaxik.files.writing import toml, write_text
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import frame
 
@@ -36,8 +35,13 @@ ROWS = {  # of obstacles, how wide they are and what is in them; a frame is its 
 }
 
 
-def load_scene(path: Path) -> Scene:
-    """A scene of objects, marks, or both; `docs/how-to/own-scene.md` has the schema. Raises `LoadError`, one line."""
+def load_scene(path: str | Path) -> Scene:
+    """Reads a shipped scene (`"cucumber_row"`) or a scene file: `.toml`, or labelled points as `.csv` or `.ply`. Host.
+
+    `docs/how-to/own-scene.md` has the schema. Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is
+    allowed, the mend.
+    """
+    path = locate(path, "scene")
     readers, kind = {".toml": _from_toml, ".csv": _from_csv, ".ply": _from_ply}, path.suffix.lower()
     if kind not in readers:
         raise LoadError(path, "file", f"ending '{kind}'", f"allowed: {', '.join(readers)}")
@@ -180,7 +184,7 @@ def save_scene(scene: Scene, path: str | Path, *, description: str = "-") -> Non
     (`Scene.geometry`), which a file cannot name.
     """
     check_kind("save_scene", "scene", scene, Scene)
-    if (file := Path(path)).suffix != ".toml":
+    if (file := Path(path)).suffix.lower() != ".toml":
         raise ValueError(f"save_scene: {file}: ending '{file.suffix}'; allowed: .toml")
     write_text("save_scene", file, _written(scene, description))
 

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from jaxik.checks.options import shown
-from jaxik.files.robot_builder import opened
+from jaxik.files.documents import opened
 from jaxik.files.robot_toml import UNITS, in_words
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import frame, from_wxyz

@@ -10,9 +10,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from jaxik.checks.options import among, nearest, shown
+from jaxik.files.documents import attribute, parse, write_text
 from jaxik.files.robot_builder import Notes
-from jaxik.files.writing import write_text
-from jaxik.files.xml import attribute, parse
 from jaxik.fitting.links import Asked
 from jaxik.kinematics.robot import Robot, solid_links
 from jaxik.reasons import LoadError

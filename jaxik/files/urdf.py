@@ -10,11 +10,12 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from jaxik.checks.options import among
+from jaxik.files.documents import XACRO, attribute, number, numbers, parse
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, read_mesh
 from jaxik.files.robot_builder import JOINT_TYPES, Joint, Link, Notes, all_driven, assemble, rubbing, symmetric, unique, way_up
 from jaxik.files.robot_toml import TURNS
-from jaxik.files.xml import XACRO, attribute, number, numbers, parse
+from jaxik.fitting.links import Shape
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import frame, from_rpy, from_wxyz
@@ -174,7 +175,7 @@ def _shape(path: Path, owner: str, origin: np.ndarray, shape: Element, link: Lin
         name = attribute(path, f"{where} <mesh>", shape, "filename")
         scale = numbers(path, f"{where} <mesh>", shape, "scale", "1 1 1", 3)
         if meshes.read:
-            meshes.mesh(owner, link, name, origin, *read_mesh(path, where, name, scale, meshes.packages))
+            meshes.mesh(owner, link, origin, Shape(0, name, *read_mesh(path, where, name, scale, meshes.packages)))
         else:
             link.meshes.append(name)  # whatever it is: kinematics need none
     else:

@@ -277,7 +277,7 @@ def test_what_is_of_another_kind():
     refused("robot is 3", jaxik.kinematics.turns, 3, ZEROS)
     refused("robot is 3", jaxik.analytic.redundancy, 3)
     refused("scene is 3", jaxik.clearance, ARM, 3, ZEROS)
-    refused(r"weights has shape \(\)", jaxik.solve_ik, ARM, np.eye(4), task=XY, weights=44)
+    refused(r"weights has the shape \(\)", jaxik.solve_ik, ARM, np.eye(4), task=XY, weights=44)
     refused("path: str", jaxik.follow, ARM, dataclasses.replace(LINE, start="here"), 1.0, ZEROS)
     refused("path is 3", jaxik.follow, ARM, 3, 1.0, ZEROS)
     refused("duration", jaxik.follow, ARM, LINE, [1.0, 1.0], ZEROS)

@@ -35,6 +35,9 @@ def test_a_single_result_is_true_if_it_is_solved():
     with pytest.raises(IndexError):
         ONE[1]
     assert len(ONE[:]) == 1 and not ONE[:].single
+    for none in (slice(0), [], np.array([False])):  # as of a batch, whose rows are filtered
+        assert len(ONE[none]) == 0 and ONE[none].q.shape == (0, 2) and ONE[none].where == ()
+    assert ONE[[0, 0]].where == ("start", "start")
 
 
 def test_a_batch_has_rows_and_no_truth():

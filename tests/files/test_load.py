@@ -19,8 +19,8 @@ from robots import FOLDER, ROBOTS
 import jaxik
 from jaxik.files import targets as target_files
 from jaxik.files import urdf
+from jaxik.files.documents import MAX_BYTES
 from jaxik.files.mesh import load_mesh
-from jaxik.files.robot_builder import MAX_BYTES
 from jaxik.reasons import LoadError
 
 TOML = """name = "arm"

@@ -8,7 +8,7 @@ from robot_files import write
 from robots import FOLDER, ROBOTS
 
 import jaxik
-from jaxik.files.spherized import _covering
+from jaxik.files.robot_files import _covering
 from jaxik.kinematics.shapes import Volume
 
 SHIPPED = ("p6r", "crops_v2", "chembuly9", "pendulum4", "planar2")
@@ -146,6 +146,9 @@ def test_bad_files_are_one_line(tmp_path):
         'link = "link1"': ('link = "hand"', "link = 'hand'"),
         "ignored_objects = []": ('ignored_objects = [["hand", "table"]]', "ignored_objects holds ['hand', 'table']"),
         "velocity =": ("speed =", "'velocity' is missing"),
+        "axis = [0.0, 0.0, 1.0]": ("axis = [0.0, 0.0, 2.0]", "the axis has length 2, not 1"),
+        "lower = -": ("lower = 9", "> upper 3.14159"),
+        "tip = [[1.0,": ("tip = [[2.0,", "'tip' is no rigid frame"),
     }
     for old, (new, words) in bad.items():
         assert old in text, old

@@ -11,7 +11,7 @@ from fresh import scan_memory
 from papers.harvest_costs import harvest_orientation_cost
 
 import jaxik
-from jaxik.files.shipped import models_folder
+from jaxik.files.documents import models_folder
 from jaxik.harvesting.scanning import ScanOptions, _climb, _misses, _self_motion, recover
 from jaxik.kinematics.forward import joint_frames
 from jaxik.reach.grasp import Grasp

@@ -9,7 +9,7 @@ import pytest
 from robots import bare, pinocchio
 
 import jaxik
-from jaxik.files.shipped import models_folder
+from jaxik.files.documents import models_folder
 
 STEP = 1e-4
 RELATIVE = 1e-3  # of differences over the tolerance of the solver

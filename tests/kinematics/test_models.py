@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import jaxik
+from jaxik.files.documents import models_folder
 from jaxik.files.robot_toml import ORIGINS
-from jaxik.files.shipped import models_folder
 
 TABLE_4 = [  # 9-DOF paper: position [cm], q1 [cm], q2..q9 [deg]
     ((38, 34, 60), (8.16, 44.57, 5.33, 50.95, 56.99, -35.41, 6.34, 221.30, 50.87)),

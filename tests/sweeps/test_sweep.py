@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxik
 from jaxik import Reason
-from jaxik.files.shipped import models_folder
+from jaxik.files.documents import models_folder
 from jaxik.spmd import HostKernel
 from jaxik.sweeps.driver import _on_worker, _piece
 from jaxik.sweeps.store import StoreError

@@ -1,19 +1,75 @@
-"""XML that nobody vouches for: parsed by defusedxml, numbers read with the element's name at hand."""
+"""Files: where one that is named lies, its bytes, its XML, which nobody vouches for, and text that is written to one; or the
+one line that says why not."""
 
 from __future__ import annotations
 
 import contextlib
+import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from jaxik.files.robot_builder import read_bytes
+from jaxik.checks.options import among, shown
 from jaxik.reasons import LoadError
 
+MAX_BYTES = 16 * 2**20  # of a robot or scene file; a mesh may have four times that
 XACRO = "expand it: xacro {0.name} > {0.stem}_expanded.urdf"
+
+
+def models_folder() -> Path:
+    """Where the shipped robots and scenes lie: inside the wheel, or beside the package in a checkout. Host."""
+    inside = Path(__file__).parents[1] / "models"
+    return inside if inside.is_dir() else Path(__file__).parents[2] / "models"
+
+
+def locate(source: str | Path, what: str = "robot") -> Path:
+    """The file of a shipped robot or scene, by its name; a path with an ending is the file itself."""
+    path = Path(source)
+    if path.suffix:
+        return path
+    folder = models_folder() / "scenes" if what == "scene" else models_folder()
+    shipped = {p.stem: p for p in sorted(folder.glob("*.toml"))}
+    if str(source) in shipped:
+        return shipped[str(source)]
+    if os.path.exists(path):  # of a name that no file can have, too
+        return path  # to be told that a file needs an ending
+    mend = among(str(source).lower(), list(shipped), "shipped", len(shipped))
+    raise LoadError(shown(source), what, f"no such shipped {what}", f"{mend}; or give a file")
+
+
+@contextlib.contextmanager
+def opened(path: Path, most: int = MAX_BYTES) -> Iterator[BinaryIO]:
+    """The file, to read its bytes; or the one line that says why not."""
+    if "\0" in str(path):
+        raise LoadError(repr(str(path)), "file", "cannot be read (its name holds a null character)", "check the path")
+    try:
+        size = path.stat().st_size
+        if size > most:
+            raise LoadError(path, "file", f"{size} bytes", f"at most {most} are read")
+        with path.open("rb") as file:
+            yield file
+    except OSError as error:
+        raise LoadError(path, "file", f"cannot be read ({error.strerror or error})", "check the path") from None
+
+
+def read_bytes(path: Path) -> bytes:
+    """The file's content, or the one line that says why not."""
+    with opened(path) as file:
+        return file.read()
+
+
+def write_text(who: str, path: Path, text: str) -> None:
+    """Raises `ValueError`, one line, where the file cannot be written."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        mend = "name a file in a folder that is there"
+        raise ValueError(f"{who}: {path}: cannot be written ({error.strerror}); {mend}") from None
 
 
 def parse(path: Path, root_tag: str | None) -> Element:
