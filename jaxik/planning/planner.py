@@ -105,7 +105,7 @@ def plan_motion(
     alone, whatever becomes of the others. Without a scene the robot keeps clear of itself alone.
 
     A joint without limits takes the shorter turn, and to a pose every joint that may. The straight line is taken where it is
-    proven by `motion_clearance`'s bound. Else two trees find a way (`tree_search`), and the shortest of the lines between its
+    proven by `motion_clearance`'s bound. Else two trees find a way, and the shortest of the lines between its
     points that are proven is taken; its corners are rounded as far as that is proven, too; `time_path` times it. `seed`
     decides. `progress` is called with the motions that are done and their number; of a single one with rounds of the search.
     `changes` are fields of `PlanOptions`.

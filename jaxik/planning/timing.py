@@ -16,12 +16,10 @@ These profiles give a `Trajectory` with polynomials of time itself, which stands
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
 from typing import Any, Literal
 
-import jax
 import numpy as np
 
 from jaxik.checks.arrays import numbers
@@ -87,8 +85,8 @@ def time_path(
     check_choices("time_path", profile=(profile, Profile))
     check_kind("time_path", "robot", robot, Robot, optional=True)
     own = {"jerk": jerk, "duration": duration, "places": places, "torque": torque, "power": power}
-    for name, given in own.items():
-        if given is not None and name not in OPTIONS[profile]:
+    for name, value in own.items():
+        if value is not None and name not in OPTIONS[profile]:
             having = ", ".join(f"'{other}'" for other, names in OPTIONS.items() if name in names)
             raise ValueError(f"time_path: profile '{profile}' has no {name}; leave it out, or give profile= one of {having}")
     if isinstance(path, JointPath) and profile != "fastest":
@@ -105,8 +103,8 @@ def time_path(
         found = _fastest_along(given if isinstance(path, JointPath) else straight(given), limits, drives, places, single)
     else:
         found = _profiled(profile, given, limits, jerk, duration, single)
-    found = found if robot is None else dataclasses.replace(found, joint_names=robot.joint_names)
-    return jax.tree_util.tree_map(lambda x: x[0], found) if single else found
+    lengths, curves, *timing = (x[0] for x in found) if single else found
+    return Trajectory(JointPath(lengths, curves), *timing, joint_names=() if robot is None else robot.joint_names)
 
 
 def _waypoints(given: Any) -> tuple[Any, bool]:
@@ -143,8 +141,11 @@ def _drives(robot: Robot | None, torque: Any, power: Any, gravity: Any) -> Drive
     return found if found.limited else None
 
 
-def _fastest_along(path: JointPath, limits: Limits, drives: Drives | None, places: int | None, single: bool) -> Trajectory:
-    """The least time along paths (N, ...), within limits (N, n) and what the drives give."""
+def _fastest_along(
+    path: JointPath, limits: Limits, drives: Drives | None, places: int | None, single: bool
+) -> tuple[np.ndarray, ...]:
+    """The lengths, curves, times, places and speeds of the least time along paths (N, ...), within limits (N, n) and what the
+    drives give."""
     lengths, curve, k = np.asarray(path.lengths), np.asarray(path.coefficients), np.shape(path.lengths)[1]
     parts = max(FINE, -(-MANY // k)) if places is None else max(LEAST, -(-as_count("time_path: places", places) // k))
     known = np.isfinite(lengths).all(axis=1) & np.isfinite(curve).all(axis=(1, 2, 3))
@@ -163,7 +164,7 @@ def _fastest_along(path: JointPath, limits: Limits, drives: Drives | None, place
     step, both = np.repeat(lengths / parts, parts, axis=1), speed[:, 1:] + speed[:, :-1]
     with np.errstate(divide="ignore"):  # limits so small that nothing moves: it takes for ever
         place, time = since(step), since(np.divide(2.0 * step, both, out=np.zeros_like(both), where=~(step == 0.0)))
-    return Trajectory(path, time, place, speed)
+    return lengths, curve, time, place, speed
 
 
 @functools.cache
@@ -195,8 +196,10 @@ def _driven(limits: Drives, curve: np.ndarray, lengths: np.ndarray, others: Any,
     return squares
 
 
-def _profiled(profile: str, points: np.ndarray, limits: Limits, jerk: Any, duration: Any, single: bool) -> Trajectory:
-    """A profile through waypoints (N, k, n) within limits (N, n), the `jerk` (n,), one number or None.
+def _profiled(
+    profile: str, points: np.ndarray, limits: Limits, jerk: Any, duration: Any, single: bool
+) -> tuple[np.ndarray, ...]:
+    """The same of a profile through waypoints (N, k, n) within limits (N, n), the `jerk` (n,), one number or None.
 
     Raises `ValueError` for a jerk and a duration that are not positive or of another shape, a duration that is shorter than the
     limits allow, and for waypoints of a quintic that are equal to the one before, unless all are.
@@ -292,7 +295,9 @@ def _integrated(phases: np.ndarray, greatest: np.ndarray) -> np.ndarray:
     return np.stack([jerk / 6.0, acceleration / 2.0, velocity, place], axis=-1)
 
 
-def _drawn_out(curves: np.ndarray, times: np.ndarray, slower: np.ndarray, asked: np.ndarray | None, single: bool) -> Trajectory:
+def _drawn_out(
+    curves: np.ndarray, times: np.ndarray, slower: np.ndarray, asked: np.ndarray | None, single: bool
+) -> tuple[np.ndarray, ...]:
     """Polynomials (N, p, d, n) over `times` (N, p), all drawn out by `slower` (N,), and so long as is asked for."""
     whole = times.sum(axis=1)
     least = lasts = slower * whole
@@ -307,4 +312,4 @@ def _drawn_out(curves: np.ndarray, times: np.ndarray, slower: np.ndarray, asked:
     lengths = np.where(still[:, None], lasts[:, None] / times.shape[1], times * scale[:, None])
     curves = curves / scale[:, None, None, None] ** np.arange(curves.shape[2])[::-1, None]
     time = np.pad(np.cumsum(lengths, axis=1), ((0, 0), (1, 0)))
-    return Trajectory(JointPath(lengths, curves), time, time, np.ones_like(time))
+    return lengths, curves, time, time, np.ones_like(time)

@@ -183,7 +183,7 @@ class Search:
     ) -> Problem:
         targets = tuple(dataclasses.replace(target, pose=target.pose[rows]) for target in self.targets)
         terms, whole = self.soft if soft else self.terms, np.ones((len(rows), 1))
-        return terms.problem(spans, targets, self.poses is not None, extra, whole if used is None else used, cautious)
+        return terms.problem(spans, targets, extra, self.poses is not None, cautious, whole if used is None else used)
 
     def _compared(self, rows: np.ndarray, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, collocation.Found]:
         """The best samples of each problem, solved with few spans: their ranks, from 0, problems, and what was found. What

@@ -192,10 +192,10 @@ class Terms:
         self,
         spans: int,
         targets: tuple[Target, ...],
-        open_end: bool,
         extra: np.ndarray | None,
-        used: np.ndarray,
+        open_end: bool,
         cautious: bool = False,
+        used: np.ndarray | None = None,
     ) -> programme.Problem:
         """Over so many spans; `extra` (B, spans + 1) [m] is kept beyond the margin at each knot, and of the drives' limits the
         share `used` (B, 1 or spans + 1). Being cautious, a step moves nothing by more than `STRIDE`, and bounds hold between
@@ -208,7 +208,7 @@ class Terms:
             *(self.options.degree, self.duration / spans, self._rows(spans, cautious), samples, asked, at, count, open_end),
             cautious=self._reaches / STRIDE if cautious and self._robots else None,
             loads=self.loads if self.drives.limited else None,
-            limit=used[:, :, None] if self.drives.limited else None,
+            limit=None if not self.drives.limited else np.ones((1, 1, 1)) if used is None else used[:, :, None],
         )
 
     def softened(self) -> Terms:
