@@ -137,8 +137,9 @@ def play(
     check_seed("play", seed)
     for name, arm in (("robot", robot), ("model", model)):
         check_kind("play", name, arm, Robot)
-        need_drives("play", arm)
     arm, on_bodies = mujoco_model(robot, options.dt), [_on_body(robot, push) for push in pushes]
+    for each in (robot, model):
+        need_drives("play", each)
     asked = _with_rests([motions] if isinstance(motions, Trajectory) else motions, options)
     if asked.q.shape[1] != robot.num_joints:
         raise ValueError(f"play: the motion has {asked.q.shape[1]} joints; {robot.name} has {robot.num_joints}")

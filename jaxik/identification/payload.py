@@ -163,7 +163,7 @@ def _check_one_motion(robot: Robot, q: np.ndarray, other: np.ndarray) -> None:
 
 @host_kernels(4)
 def _beyond(robot: Robot, q: Any, qdot: Any, qddot: Any, torque: Any) -> Any:
-    """What the drives give behind friction beyond what the model asks for (n,)."""
+    """Returns what the drives give behind friction beyond what the model asks for (n,)."""
     if robot.drives:
         gain, springs = (numbers_of(robot.drives, of) for of in (lambda d: d.torque_per_current, lambda d: d.spring_force))
         torque = torque_of_current(robot, (torque - springs) / gain, qdot)

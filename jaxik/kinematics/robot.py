@@ -395,7 +395,7 @@ def as_configuration(robot: Robot, q: Any) -> Float[Array, " n"]:
     return _floats(q)
 
 
-def as_joint_numbers(what: str, robot: Robot, given: Any) -> Float[Array, " n"]:
+def as_joint_numbers(what: str, robot: Robot, given: Any) -> Float[jax.Array, " n"]:
     """One number a joint (n,), as floats. Raises `ValueError` for another shape."""
     return _floats(as_numbers(what, given, (robot.num_joints,)))
 

@@ -1,4 +1,4 @@
-"""What is made of a force from sample to sample: its low pass, the stiffness behind it, and how it is to die away.
+"""A force from sample to sample: its low pass, the stiffness behind it, and how it is to die away.
 
 It dies away as a second-order system, whatever the arm has to do meanwhile:
 
