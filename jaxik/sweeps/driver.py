@@ -84,14 +84,15 @@ class SweepResult:
     def colliding(self, most: int) -> IKResult:
         """The answers of `solve_ik` to `most` targets that collide, of the first chunk that has any. Their `offenders` name
         what is in the way, which a store does not keep. Host driver."""
-        store, study = Store.of(self.path, self.study), self.study
+        store, study, colliding = Store.of(self.path, self.study), self.study, np.zeros(0, int)
+        variant = study.variants[0]
         for number in np.flatnonzero(store.finished()):
             variant, _, rows = study.work(int(number))
             colliding = rows.start + np.flatnonzero(store.column(int(number), "reason") == Reason.COLLISION)[:most]
             if len(colliding):
                 break
         among, scene = study.targets.among, study.scene or make_scene()
-        if among is not None:
+        if among is not None and len(colliding):
             scene = study.targets.scenes[among[colliding[0]]]
             colliding = colliding[among[colliding] == among[colliding[0]]]
         base_T_frame = np.linalg.inv(variant.robot.world_T_base) if study.targets.frame == "world" else None

@@ -489,6 +489,12 @@ def test_a_store_begun_before_every_piece_wrote_its_targets_goes_on(two, tmp_pat
     assert jaxik.sweep(TWO, path).complete and bits(path) == bits(two.path)
 
 
+def test_nothing_collides_where_nothing_is_done_or_looked_at(small, tmp_path):
+    targets = {"kind": "marks", "scenes": ["cucumber_row"], "angles": 1}
+    none = jaxik.sweep({"robot": "p6r", "slides": 2, "targets": targets}, tmp_path / "m.zarr", shard="2/2")
+    assert none.done == 0 and len(none.colliding(2)) == 0 == len(small.colliding(2))
+
+
 def test_stop_and_go_on(two, tmp_path):
     """Stopped in the first variant, where its last chunk is the second's first to come, and in the second."""
     path, done = tmp_path / "s.zarr", 0
