@@ -140,7 +140,9 @@ def _read(table: Table, folder: Path) -> Study:
     axes, variants = all_variants(table, robots, bases, shapes)
     scene, wanted = _collision(table, folder)
     collision = "collision" in given
-    grasp = _grasp(table)
+    tool = table.table("tool")
+    held = {name: tuple(tool.array(name, "plain", (3,), usual).tolist()) for name, usual in vars(Grasp()).items()}
+    grasp = _made(tool, "change them", Grasp, **held)
     targets = _targets(table, folder, [v.robot for v in variants], scene, grasp)
     if targets.scenes:  # which are around the targets instead
         scene = None
@@ -236,12 +238,6 @@ def _collision(table: Table, folder: Path) -> tuple[Scene | None, dict[str, floa
     wanted = {name: number(name) for name in units}
     _made(row, "change it", PostureOptions, **wanted)
     return scene, wanted
-
-
-def _grasp(table: Table) -> Grasp:
-    row = table.table("tool")
-    axes = {name: tuple(row.array(name, "plain", (3,), usual).tolist()) for name, usual in vars(Grasp()).items()}
-    return _made(row, "change them", Grasp, **axes)
 
 
 def _ik(table: Table, targets: Targets, margin: float | None) -> IKOptions:
