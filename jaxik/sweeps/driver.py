@@ -263,10 +263,8 @@ def _ended(store: Store, repair: bool) -> SweepResult:
 # The audit
 
 
-EFFORTS = {
-    "closed form": (0.25, 0.5, 1.0, 4.0),
-    "search": (1 / 32, 1 / 8, 1.0, 8.0),
-}  # times the study's own; the last is dense
+# times the study's own; the last is dense
+EFFORTS = {"closed form": (0.25, 0.5, 1.0, 4.0), "search": (1 / 32, 1 / 8, 1.0, 8.0)}
 WHAT = {"closed form": "slides", "search": "max_seeds"}
 AUDITED = 0x617564
 
