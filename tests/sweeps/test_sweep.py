@@ -363,6 +363,7 @@ def test_crops_keep_clear_of_their_own_scene():
         ({"robot": {"file": "p6r", "meshes": "no"}}, "meshes = 'no'"),
         ({"tool": {"up": [1, 0, 0]}, "targets": GRID | {"directions": "any", "roll_deg": None}}, "no target has a direction"),
         ({"targets": GRID | {"directions": "any"}}, "'roll' without directions"),
+        ({"targets": GRID | {"directions": "all"}}, "directions = 'all'; write \"any\", a count, or a list"),
         ({"targets": GRID | {"roll_deg": []}}, "'roll' holds no number"),
         ({"targets": {"kind": "marks", "frame": "base"}}, "marks stand in the world"),
         ({"targets": {"kind": "marks"}}, "no target; give at least one"),
