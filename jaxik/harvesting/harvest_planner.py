@@ -9,6 +9,7 @@ are not picked in one round are tried in the next, where the fruits before are g
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -248,14 +249,6 @@ class _Tour:
             direct[1:], place[1:] = by.min(axis=1), m + by.argmin(axis=1)
         return direct + self.own, place
 
-    def legs_along(self, nodes: Sequence[int]) -> list[tuple[int, int]]:
-        """The legs of a tour, from point to point, the last one home."""
-        found, place = [], self.costs()[1]
-        for a, b in zip([0, *nodes], [*nodes, 0], strict=True):
-            via = int(place[a, b])
-            found += [(a, b)] if via < 0 else [(a, via), (via, b)]
-        return found
-
     def ordered(self, costs: np.ndarray, shortest: bool) -> list[int]:
         """The nodes of the shortest tour at these costs, or of the shortest in the order of the planner's ranks."""
         if shortest:
@@ -283,9 +276,11 @@ class _Tour:
         return best[1:]
 
     def plan_along(self, nodes: Sequence[int]) -> tuple[dict[tuple[int, int], _Leg], bool]:
-        """The legs of a tour, and whether any of them is new."""
-        gone, found, new = self.gone, {}, False
-        for a, b in self.legs_along(nodes):
+        """The legs of a tour, from point to point, the last one home; and whether any of them is new."""
+        gone, found, new, place, points = self.gone, {}, False, self.costs()[1], [0]
+        for a, b in itertools.pairwise([0, *nodes, 0]):
+            points += [b] if place[a, b] < 0 else [int(place[a, b]), b]
+        for a, b in itertools.pairwise(points):
             gone = gone | {self.fruit(a)}
             leg = self.legs.get((a, b))
             if leg is None or not leg.gone <= gone:

@@ -34,9 +34,7 @@ from jaxik.sweeps.robot_variants import Variant
 from jaxik.sweeps.store import Store, StoreError
 from jaxik.sweeps.study import Study
 
-# chunks at a time in this process: what one does on the host alone, the other spends in compiled blocks; tasks a worker of a
-# cluster: one to run, one to have at hand
-AHEAD = 2
+AHEAD = 2  # chunks at a time in this process, one on the host alone and one in compiled blocks; and tasks a worker of a cluster
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -83,14 +81,15 @@ class SweepResult:
     def colliding(self, most: int) -> IKResult:
         """The answers of `solve_ik` to `most` targets that collide, of the first chunk that has any. Their `offenders` name
         what is in the way, which a store does not keep. Host driver."""
-        store, study = Store.of(self.path, self.study), self.study
+        store, study, colliding = Store.of(self.path, self.study), self.study, np.zeros(0, int)
+        variant = study.variants[0]
         for number in np.flatnonzero(store.finished()):
             variant, _, rows = study.work(int(number))
             colliding = rows.start + np.flatnonzero(store.column(int(number), "reason") == Reason.COLLISION)[:most]
             if len(colliding):
                 break
         among, scene = study.targets.among, study.scene or make_scene()
-        if among is not None:
+        if among is not None and len(colliding):
             scene = study.targets.scenes[among[colliding[0]]]
             colliding = colliding[among[colliding] == among[colliding[0]]]
         base_T_frame = np.linalg.inv(variant.robot.world_T_base) if study.targets.frame == "world" else None
@@ -262,9 +261,7 @@ def _ended(store: Store, repair: bool) -> SweepResult:
 # --------------------------------------------------------------------------------------------------------------------
 # The audit
 
-# Effort is positions of what the closed form is given (a slide, an arm angle) where that answers, and seeds where the search
-# does. A target that more effort reaches and the study did not is a false negative; the rate that is seen has an upper bound
-# [Clopper and Pearson 1934]. A closed form that is given nothing knows no effort, and misses nothing.
+
 # times the study's own; the last is dense
 EFFORTS = {"closed form": (0.25, 0.5, 1.0, 4.0), "search": (1 / 32, 1 / 8, 1.0, 8.0)}
 WHAT = {"closed form": "slides", "search": "max_seeds"}
@@ -273,7 +270,12 @@ AUDITED = 0x617564
 
 def audit(store: Store) -> dict[str, Any]:
     """Estimates how many reachable targets a sweep missed: some of them, drawn at random, are asked again with more effort.
-    Returns the attributes `audit`, by method, and `false_negative_rate`, over all, of a complete store."""
+    Returns the attributes `audit`, by method, and `false_negative_rate`, over all, of a complete store.
+
+    Effort is positions of what the closed form is given (a slide, an arm angle) where that answers, and seeds where the search
+    does. A target that more effort reaches and the study did not is a false negative; the rate that is seen has an upper bound
+    [Clopper and Pearson 1934]. A closed form that is given nothing knows no effort, and misses nothing.
+    """
     study = store.study
     total = len(study.variants) * len(study.targets)
     drawn = np.random.default_rng((AUDITED, study.seed)).choice(total, min(study.audited, total), replace=False)

@@ -17,6 +17,7 @@ import numpy as np
 
 from jaxik.analytic.families import scan_obstacle
 from jaxik.checks.arrays import numbers
+from jaxik.checks.options import shown
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
 from jaxik.files import load, load_scene
@@ -75,6 +76,8 @@ class Study(PostureOptions, who="study"):
             if changes:
                 raise ValueError(f"a study that is read does not change ({', '.join(changes)}); change what it was read from")
             return source
+        if not isinstance(source, str | Path | Mapping):
+            raise ValueError(f"study is {shown(source)}; write a TOML file's name, the same as dictionaries, or a Study")
         path = Path("study") if isinstance(source, Mapping) else Path(source)
         content = dict(source) if isinstance(source, Mapping) else read_toml(path).content
         folder = Path() if isinstance(source, Mapping) else path.parent
@@ -140,7 +143,9 @@ def _read(table: Table, folder: Path) -> Study:
     axes, variants = all_variants(table, robots, bases, shapes)
     scene, wanted = _collision(table, folder)
     collision = "collision" in given
-    grasp = _grasp(table)
+    tool = table.table("tool")
+    held = {name: tuple(tool.array(name, "plain", (3,), usual).tolist()) for name, usual in vars(Grasp()).items()}
+    grasp = _made(tool, "change them", Grasp, **held)
     targets = _targets(table, folder, [v.robot for v in variants], scene, grasp)
     if targets.scenes:  # which are around the targets instead
         scene = None
@@ -238,12 +243,6 @@ def _collision(table: Table, folder: Path) -> tuple[Scene | None, dict[str, floa
     return scene, wanted
 
 
-def _grasp(table: Table) -> Grasp:
-    row = table.table("tool")
-    axes = {name: tuple(row.array(name, "plain", (3,), usual).tolist()) for name, usual in vars(Grasp()).items()}
-    return _made(row, "change them", Grasp, **axes)
-
-
 def _ik(table: Table, targets: Targets, margin: float | None) -> IKOptions:
     """The options of a search that keeps a margin, or looks at nothing that may be hit."""
     row, default = table.table("ik"), IKOptions()
@@ -335,6 +334,8 @@ def _rotations(row: Table, grasp: Grasp) -> np.ndarray:
         if "roll" in row.content or "roll_deg" in row.content:
             raise row.fail("'roll' without directions turns nothing", "give directions, or leave it out")
         return np.zeros((0, 3, 3))
+    if isinstance(given, str):
+        raise row.fail(f"directions = '{shown(given)}'", 'write "any", a count, or a list of [x, y, z]')
     if isinstance(given, list | tuple | np.ndarray):
         along = row.array("directions", "plain", (-1, 3))
         if not np.all(np.linalg.norm(along, axis=1) > 1e-9):

@@ -82,16 +82,14 @@ class Targets:
         low = int(number.min(initial=len(self)))
         span = int(number.max(initial=-1)) + 1 - low
         dense = span <= len(rows)  # as those of a chunk are, and few for many directions
-        places = self._places(np.arange(low, low + span) if dense else number)
+        some = np.arange(low, low + span) if dense else number
+        if self.axes:
+            places = np.stack([a[i] for a, i in zip(self.axes, np.unravel_index(some, self.shape), strict=True)], axis=-1)
+        else:
+            places = self.positions[some]
         if base_T_frame is not None:
             places = np.einsum("ni,ji->nj", places, base_T_frame[:3, :3]) + base_T_frame[:3, 3]
         return places.take(number - low, axis=0) if dense else places
-
-    def _places(self, number: np.ndarray) -> np.ndarray:
-        if not self.axes:
-            return self.positions[number]
-        index = np.unravel_index(number, self.shape)
-        return np.stack([a[i] for a, i in zip(self.axes, index, strict=True)], axis=-1)
 
     def wxyz_at(self, rows: np.ndarray) -> np.ndarray:
         """The unit quaternions (r, 4) of targets whose rotation is not free, w >= 0; NaN where it is none."""

@@ -264,6 +264,7 @@ def test_what_is_of_another_kind():
     refused("fruit is 3", jaxik.harvesting.scan, P6R, SCENE, 3)
     refused("scene is 3", jaxik.harvest, P6R, 3)
     refused("robot is 3", jaxik.harvest, 3, SCENE)
+    refused("study is 3; write a TOML file's name", jaxik.sweeps.Study.of, 3)
     for call in (jaxik.reach.reach_score, jaxik.reach.likely_postures):
         rest = (np.eye(4)[None], *[np.zeros((1, 7))] * (call is jaxik.reach.reach_score))
         refused(f"{call.__name__}: scene is 3; write a jaxik.Scene", call, P6R, 3, *rest)

@@ -363,6 +363,7 @@ def test_crops_keep_clear_of_their_own_scene():
         ({"robot": {"file": "p6r", "meshes": "no"}}, "meshes = 'no'"),
         ({"tool": {"up": [1, 0, 0]}, "targets": GRID | {"directions": "any", "roll_deg": None}}, "no target has a direction"),
         ({"targets": GRID | {"directions": "any"}}, "'roll' without directions"),
+        ({"targets": GRID | {"directions": "all"}}, "directions = 'all'; write \"any\", a count, or a list"),
         ({"targets": GRID | {"roll_deg": []}}, "'roll' holds no number"),
         ({"targets": {"kind": "marks", "frame": "base"}}, "marks stand in the world"),
         ({"targets": {"kind": "marks"}}, "no target; give at least one"),
@@ -487,6 +488,12 @@ def test_a_store_begun_before_every_piece_wrote_its_targets_goes_on(two, tmp_pat
                 (path / name / "c" / str(chunk) / "0").unlink()
     assert jaxik.sweep(TWO, path, shard="2/2").done == 9
     assert jaxik.sweep(TWO, path).complete and bits(path) == bits(two.path)
+
+
+def test_nothing_collides_where_nothing_is_done_or_looked_at(small, tmp_path):
+    targets = {"kind": "marks", "scenes": ["cucumber_row"], "angles": 1}
+    none = jaxik.sweep({"robot": "p6r", "slides": 2, "targets": targets}, tmp_path / "m.zarr", shard="2/2")
+    assert none.done == 0 and len(none.colliding(2)) == 0 == len(small.colliding(2))
 
 
 def test_stop_and_go_on(two, tmp_path):
