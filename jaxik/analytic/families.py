@@ -21,7 +21,7 @@ from jaxik.analytic.three_parallel import ThreeParallel
 from jaxik.analytic.turns import ALL, Family, HalfBranch, Signs
 from jaxik.checks.options import check_kind
 from jaxik.homotopy.axis_line import MOST_SOLUTIONS
-from jaxik.homotopy.general import GeneralArm, general_arm, general_solutions
+from jaxik.homotopy.general import GeneralArm, arm_of, general_solutions
 from jaxik.kinematics.axes import TOLERANCE, Axes, named_from
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.reach_bound import reach_bound
@@ -36,15 +36,11 @@ PROVEN = 1e-9  # [m, rad] by which axes may miss their family: an arm that misse
 ROUNDED = 1e-14  # [rad, m] of it that is rounding of exact numbers
 
 
-class FromTip:
+class FromTip(Family):
     """A family that fits the arm as it is seen from its tip."""
 
-    parameters = 0
-
     def __init__(self, family: SphericalWrist | ThreeParallel):
-        self.family, self.cost = family, family.cost
-        self.name = family.name_from_tip
-        self.joints, self.branches = family.joints, family.branches
+        self.family, self.cost, self.name = family, family.cost, family.name_from_tip
 
     def half_branches(self, target: Frame, given: list[Scalar], eps: float, signs: Signs = ALL) -> list[HalfBranch]:
         return [half.from_tip(self.joints) for half in self.family.half_branches(target.inverse(), given, eps, signs)]
@@ -145,18 +141,17 @@ class Solver(NamedTuple):
         return self.joined(q, [self.family.parameter(frames, float(np.finfo(q.dtype).eps))])
 
 
-class AnySix:
+class AnySix(Family):
     """Six joints of no family, solved by paths of complex solutions: sixteen postures at most."""
 
-    name = "any six joints"
-    joints, parameters, branches, cost = 6, 0, MOST_SOLUTIONS, 1000
+    name, branches, cost = "any six joints", MOST_SOLUTIONS, 1000
 
-    def __init__(self, axes: Axes):
-        self.axes = axes
+    def __init__(self, part: Robot):
+        self.part = part
 
-    @functools.cached_property
+    @property
     def arm(self) -> GeneralArm:
-        return general_arm(self.axes)  # work that `redundancy` does not need
+        return arm_of(self.part)  # work that `redundancy` does not need
 
     def half_branches(self, target: Frame, given: list[Scalar], eps: float, signs: Signs = ALL) -> list[HalfBranch]:
         dtype = jnp.result_type(*target.rotation.entries)
@@ -188,8 +183,9 @@ def _families(part: Robot, first: int) -> Iterator[tuple[str, Callable[[], Famil
 
 @functools.lru_cache(maxsize=64)
 def _found(robot: Robot) -> tuple[Solver | None, str]:
-    """Returns the robot's cheapest closed form, or why it has none."""
-    best: Solver | None = None
+    """Returns the robot's cheapest closed form; or why it has none, with what finds all postures of the last six neighbouring
+    revolute joints, if there are such."""
+    best, general = None, None  # type: Solver | None, Solver | None
     reasons: list[str] = []
     for size in (7, 6):
         for first in range(robot.num_joints - size, -1, -1):
@@ -202,6 +198,7 @@ def _found(robot: Robot) -> tuple[Solver | None, str]:
             else:
                 families = list(_families(part, first))
                 why = "; ".join(reason for reason, _ in families)
+                general = general or (Solver(robot, first, AnySix(part), 0.0) if size == 6 else None)
             if size == 6:
                 reasons.append(f"of joints {first + 1} to {first + size}: {why}")
             for made in [made for reason, made in families if not reason]:
@@ -211,7 +208,7 @@ def _found(robot: Robot) -> tuple[Solver | None, str]:
         return best, ""
     if robot.num_joints < 6:
         return None, f"it has {robot.num_joints} joints, and six revolute ones are needed"
-    return None, f"no six neighbouring joints are of a family ({TOLERANCE:g} allowed): " + ". ".join(reasons)
+    return general, f"no six neighbouring joints are of a family ({TOLERANCE:g} allowed): " + ". ".join(reasons)
 
 
 def closed_form_obstacle(robot: Robot) -> str:
@@ -251,18 +248,8 @@ def solver_of(robot: Robot) -> Solver:
 def any_solver_of(robot: Robot) -> Solver:
     """Returns the robot's closed form, or else what finds all postures of the last six neighbouring revolute joints. Raises
     `ValueError` with the reason where there are no such joints."""
-    if robot.concrete and closed_form_obstacle(robot) and (solver := _without_family(robot)):
-        return solver
-    return solver_of(robot)
-
-
-@functools.lru_cache(maxsize=64)
-def _without_family(robot: Robot) -> Solver | None:
-    for first in range(robot.num_joints - 6, -1, -1):
-        part = robot.part(first, first + 6)
-        if not any(part.is_prismatic) and Axes.of(part).spanning:
-            return Solver(robot, first, AnySix(Axes.of(part)), 0.0)
-    return None
+    solver = _found(robot)[0] if robot.concrete else None
+    return solver or solver_of(robot)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -301,13 +288,7 @@ def redundancy(robot: Robot) -> Redundancy:
     Raises `ValueError` for what is no robot.
     """
     why = closed_form_obstacle(robot)
-    return _redundancy(robot) if robot.concrete else Redundancy(robot, "", (), np.zeros(0), np.zeros(0), why)
-
-
-@functools.lru_cache(maxsize=64)
-def _redundancy(robot: Robot) -> Redundancy:
-    why = closed_form_obstacle(robot)
-    solver = _without_family(robot) if why else solver_of(robot)
+    solver = _found(robot)[0] if robot.concrete else None
     if solver is None:
         return Redundancy(robot, "", (), np.zeros(0), np.zeros(0), why)
     lower, upper = read_only(solver.limits())
