@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -161,24 +161,20 @@ class AnySix(Family):
         return [HalfBranch({}, jnp.maximum(margin[k], margin[k + 1]), functools.partial(both, k)) for k in pairs]
 
 
-def _families(part: Robot, first: int) -> Iterator[tuple[str, Callable[[], Family]]]:
-    """Yields the families for six or seven revolute joints, from number `first` of the robot on: why each does not fit, or an
-    empty string, and how it is made."""
+def _families(part: Robot, first: int) -> Iterator[Family | str]:
+    """Yields the families for six or seven revolute joints, from number `first` of the robot on; of one that does not fit, why
+    not."""
     axes = Axes.of(part)
     rest = lambda joint: float(np.clip(0.0, part.lower[joint], part.upper[joint]))
     if part.num_joints == 7:
-        yield ArmAngle.obstacle(axes), lambda: ArmAngle(axes, rest(-1), rest(2))
+        yield ArmAngle.obstacle(axes) or ArmAngle(axes, rest(-1), rest(2))
         return
-    seen, named, seen_named = axes.reversed(), named_from(first + 1, 1), named_from(first + 6, -1)
-    yield SphericalWrist.obstacle(axes, named), lambda: SphericalWrist(axes, rest(-1))
-    for plane in (1, 0):
-        yield ThreeParallel.obstacle(axes, plane, named), lambda plane=plane: ThreeParallel(axes, rest(-1), plane)
-    yield SphericalWrist.obstacle(seen, seen_named), lambda: FromTip(SphericalWrist(seen, rest(0)))
-    for plane in (1, 0):
-        yield (
-            ThreeParallel.obstacle(seen, plane, seen_named),
-            lambda plane=plane: FromTip(ThreeParallel(seen, rest(0), plane)),
-        )
+    from_base = axes, named_from(first + 1, 1), rest(-1), lambda family: family
+    from_tip = axes.reversed(), named_from(first + 6, -1), rest(0), FromTip
+    for seen, named, last, made in (from_base, from_tip):
+        yield SphericalWrist.obstacle(seen, named) or made(SphericalWrist(seen, last))
+        for plane in (1, 0):
+            yield ThreeParallel.obstacle(seen, plane, named) or made(ThreeParallel(seen, last, plane))
 
 
 @functools.lru_cache(maxsize=64)
@@ -190,20 +186,20 @@ def _found(robot: Robot) -> tuple[Solver | None, str]:
     for size in (7, 6):
         for first in range(robot.num_joints - size, -1, -1):
             part = robot.part(first, first + size)
-            families: list[tuple[str, Callable[[], Family]]] = []
+            families: list[Family | str] = []
             if any(part.is_prismatic):
                 why = f"joint '{part.joint_names[part.is_prismatic.index(True)]}' is prismatic"
             elif not Axes.of(part).spanning:
                 why = "they cannot move the tip in all six directions, wherever they stand"
             else:
                 families = list(_families(part, first))
-                why = "; ".join(reason for reason, _ in families)
+                why = "; ".join(reason for reason in families if isinstance(reason, str))
                 general = general or (Solver(robot, first, AnySix(part), 0.0) if size == 6 else None)
             if size == 6:
                 reasons.append(f"of joints {first + 1} to {first + size}: {why}")
-            for made in [made for reason, made in families if not reason]:
-                solver = Solver(robot, first, made(), Axes.of(part).misfit)
-                best = solver if best is None or solver.family.cost < best.family.cost else best
+            for family in families:
+                if not isinstance(family, str) and (best is None or family.cost < best.family.cost):
+                    best = Solver(robot, first, family, Axes.of(part).misfit)
     if best is not None:
         return best, ""
     if robot.num_joints < 6:

@@ -54,7 +54,7 @@ from jaxik.kinematics.axes import Axes
 from jaxik.kinematics.joint_turns import wrapped
 from jaxik.kinematics.robot import Robot
 from jaxik.optimise.linear import definite_solve
-from jaxik.spatial.algebra import Frame, Vec3, atan2, stack, sub
+from jaxik.spatial.algebra import Frame, Vec3, atan2, stack
 from jaxik.spmd import kernel
 from jaxik.spmd.host import HostKernel
 
@@ -377,9 +377,8 @@ def _solved_jvp(primals: Any, tangents: Any) -> Any:
     (given, target), change = primals, tangents[1]
     q, margin, complete = _solved(given, target)
     behind, moving = _behind(given.arm, target), _behind(given.arm, change, 0.0)
-    spin = moving.rotation @ behind.rotation.T
-    turn = [sub(spin[i][j], spin[j][i]) * 0.5 for i, j in ((2, 1), (0, 2), (1, 0))]
-    twist = stack([*moving.translation, *turn], (6,), target.dtype)
+    spin = (moving.rotation @ behind.rotation.T).skew
+    twist = stack([*moving.translation, *spin], (6,), target.dtype)
     inverses = _inverses(given.arm, stack([*behind.translation], (3,), target.dtype), q, margin)
     rates = lax.map(lambda inverse: inverse @ twist, inverses)  # a loop in a kernel, too
     return (q, margin, complete), (rates, jnp.zeros_like(margin), jnp.zeros_like(complete))
