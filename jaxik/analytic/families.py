@@ -284,7 +284,12 @@ def redundancy(robot: Robot) -> Redundancy:
     Raises `ValueError` for what is no robot.
     """
     why = closed_form_obstacle(robot)
-    solver = _found(robot)[0] if robot.concrete else None
+    return _redundancy(robot) if robot.concrete else Redundancy(robot, "", (), np.zeros(0), np.zeros(0), why)
+
+
+@functools.lru_cache(maxsize=64)
+def _redundancy(robot: Robot) -> Redundancy:
+    solver, why = _found(robot)
     if solver is None:
         return Redundancy(robot, "", (), np.zeros(0), np.zeros(0), why)
     lower, upper = read_only(solver.limits())
