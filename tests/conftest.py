@@ -19,7 +19,7 @@ if CACHE not in os.environ:  # a worker's is that of the run, and that of the ru
 
 # not the arithmetic on scalars, nor the compiler, nor what fits: their types are plain (mypy's), and a trace, or a fit, calls
 # them a hundred thousand times
-CLOSED = ("turns", "subproblems", "positioning", "spherical_wrist", "three_parallel", "arm_angle")
+CLOSED = ("turns", "positioning", "spherical_wrist", "three_parallel", "arm_angle")
 UNTYPED = ("__init__", "algebra", "convex", "distance", "capsules", "linear", "sqp", "model", *CLOSED)
 HOME = Path(find_spec("jaxik").origin).parent
 BASES = (HOME / "options.py", HOME / "results.py")  # beartype knows `Self` only in classes that it decorates whole

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from jaxik.analytic.spherical_wrist import Orienting
-from jaxik.analytic.turns import ALL, HalfBranch, Signs, Turn, either, turns_to_distance, vector_of
+from jaxik.analytic.turns import ALL, Family, HalfBranch, Signs, Turn, either, turns_to_distance, vector_of
 from jaxik.kinematics.axes import Axes
 from jaxik.kinematics.forward import JointFrames
 from jaxik.spatial.algebra import Frame, Rot3, Scalar, Vec3, constants, safe_sqrt, sincos
 from jaxik.spatial.ball import minimum, where
 
 
-class ArmAngle:
+class ArmAngle(Family):
     """Axes 1, 2, 3 and axes 5, 6, 7 of seven meet; the last joint stands at `rest` where axes 5 and 7 are in line."""
 
     name = "arm angle"

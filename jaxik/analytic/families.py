@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from jaxik.analytic.three_parallel import ThreeParallel
 from jaxik.analytic.turns import ALL, Family, HalfBranch, Signs
 from jaxik.checks.options import check_kind
 from jaxik.homotopy.axis_line import MOST_SOLUTIONS
-from jaxik.homotopy.general import GeneralArm, general_arm, general_solutions
+from jaxik.homotopy.general import GeneralArm, arm_of, general_solutions
 from jaxik.kinematics.axes import TOLERANCE, Axes, named_from
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.reach_bound import reach_bound
@@ -36,15 +36,11 @@ PROVEN = 1e-9  # [m, rad] by which axes may miss their family: an arm that misse
 ROUNDED = 1e-14  # [rad, m] of it that is rounding of exact numbers
 
 
-class FromTip:
+class FromTip(Family):
     """A family that fits the arm as it is seen from its tip."""
 
-    parameters = 0
-
     def __init__(self, family: SphericalWrist | ThreeParallel):
-        self.family, self.cost = family, family.cost
-        self.name = family.name_from_tip
-        self.joints, self.branches = family.joints, family.branches
+        self.family, self.cost, self.name = family, family.cost, family.name_from_tip
 
     def half_branches(self, target: Frame, given: list[Scalar], eps: float, signs: Signs = ALL) -> list[HalfBranch]:
         return [half.from_tip(self.joints) for half in self.family.half_branches(target.inverse(), given, eps, signs)]
@@ -145,18 +141,17 @@ class Solver(NamedTuple):
         return self.joined(q, [self.family.parameter(frames, float(np.finfo(q.dtype).eps))])
 
 
-class AnySix:
+class AnySix(Family):
     """Six joints of no family, solved by paths of complex solutions: sixteen postures at most."""
 
-    name = "any six joints"
-    joints, parameters, branches, cost = 6, 0, MOST_SOLUTIONS, 1000
+    name, branches, cost = "any six joints", MOST_SOLUTIONS, 1000
 
-    def __init__(self, axes: Axes):
-        self.axes = axes
+    def __init__(self, part: Robot):
+        self.part = part
 
-    @functools.cached_property
+    @property
     def arm(self) -> GeneralArm:
-        return general_arm(self.axes)  # work that `redundancy` does not need
+        return arm_of(self.part)  # work that `redundancy` does not need
 
     def half_branches(self, target: Frame, given: list[Scalar], eps: float, signs: Signs = ALL) -> list[HalfBranch]:
         dtype = jnp.result_type(*target.rotation.entries)
@@ -166,52 +161,50 @@ class AnySix:
         return [HalfBranch({}, jnp.maximum(margin[k], margin[k + 1]), functools.partial(both, k)) for k in pairs]
 
 
-def _families(part: Robot, first: int) -> Iterator[tuple[str, Callable[[], Family]]]:
-    """Yields the families for six or seven revolute joints, from number `first` of the robot on: why each does not fit, or an
-    empty string, and how it is made."""
+def _families(part: Robot, first: int) -> Iterator[Family | str]:
+    """Yields the families for six or seven revolute joints, from number `first` of the robot on; of one that does not fit, why
+    not."""
     axes = Axes.of(part)
     rest = lambda joint: float(np.clip(0.0, part.lower[joint], part.upper[joint]))
     if part.num_joints == 7:
-        yield ArmAngle.obstacle(axes), lambda: ArmAngle(axes, rest(-1), rest(2))
+        yield ArmAngle.obstacle(axes) or ArmAngle(axes, rest(-1), rest(2))
         return
-    seen, named, seen_named = axes.reversed(), named_from(first + 1, 1), named_from(first + 6, -1)
-    yield SphericalWrist.obstacle(axes, named), lambda: SphericalWrist(axes, rest(-1))
-    for plane in (1, 0):
-        yield ThreeParallel.obstacle(axes, plane, named), lambda plane=plane: ThreeParallel(axes, rest(-1), plane)
-    yield SphericalWrist.obstacle(seen, seen_named), lambda: FromTip(SphericalWrist(seen, rest(0)))
-    for plane in (1, 0):
-        yield (
-            ThreeParallel.obstacle(seen, plane, seen_named),
-            lambda plane=plane: FromTip(ThreeParallel(seen, rest(0), plane)),
-        )
+    from_base = axes, named_from(first + 1, 1), rest(-1), lambda family: family
+    from_tip = axes.reversed(), named_from(first + 6, -1), rest(0), FromTip
+    for seen, named, last, made in (from_base, from_tip):
+        yield SphericalWrist.obstacle(seen, named) or made(SphericalWrist(seen, last))
+        for plane in (1, 0):
+            yield ThreeParallel.obstacle(seen, plane, named) or made(ThreeParallel(seen, last, plane))
 
 
 @functools.lru_cache(maxsize=64)
 def _found(robot: Robot) -> tuple[Solver | None, str]:
-    """Returns the robot's cheapest closed form, or why it has none."""
-    best: Solver | None = None
+    """Returns the robot's cheapest closed form; or why it has none, with what finds all postures of the last six neighbouring
+    revolute joints, if there are such."""
+    best, general = None, None  # type: Solver | None, Solver | None
     reasons: list[str] = []
     for size in (7, 6):
         for first in range(robot.num_joints - size, -1, -1):
             part = robot.part(first, first + size)
-            families: list[tuple[str, Callable[[], Family]]] = []
+            families: list[Family | str] = []
             if any(part.is_prismatic):
                 why = f"joint '{part.joint_names[part.is_prismatic.index(True)]}' is prismatic"
             elif not Axes.of(part).spanning:
                 why = "they cannot move the tip in all six directions, wherever they stand"
             else:
                 families = list(_families(part, first))
-                why = "; ".join(reason for reason, _ in families)
+                why = "; ".join(reason for reason in families if isinstance(reason, str))
+                general = general or (Solver(robot, first, AnySix(part), 0.0) if size == 6 else None)
             if size == 6:
                 reasons.append(f"of joints {first + 1} to {first + size}: {why}")
-            for made in [made for reason, made in families if not reason]:
-                solver = Solver(robot, first, made(), Axes.of(part).misfit)
-                best = solver if best is None or solver.family.cost < best.family.cost else best
+            for family in families:
+                if not isinstance(family, str) and (best is None or family.cost < best.family.cost):
+                    best = Solver(robot, first, family, Axes.of(part).misfit)
     if best is not None:
         return best, ""
     if robot.num_joints < 6:
         return None, f"it has {robot.num_joints} joints, and six revolute ones are needed"
-    return None, f"no six neighbouring joints are of a family ({TOLERANCE:g} allowed): " + ". ".join(reasons)
+    return general, f"no six neighbouring joints are of a family ({TOLERANCE:g} allowed): " + ". ".join(reasons)
 
 
 def closed_form_obstacle(robot: Robot) -> str:
@@ -251,18 +244,8 @@ def solver_of(robot: Robot) -> Solver:
 def any_solver_of(robot: Robot) -> Solver:
     """Returns the robot's closed form, or else what finds all postures of the last six neighbouring revolute joints. Raises
     `ValueError` with the reason where there are no such joints."""
-    if robot.concrete and closed_form_obstacle(robot) and (solver := _without_family(robot)):
-        return solver
-    return solver_of(robot)
-
-
-@functools.lru_cache(maxsize=64)
-def _without_family(robot: Robot) -> Solver | None:
-    for first in range(robot.num_joints - 6, -1, -1):
-        part = robot.part(first, first + 6)
-        if not any(part.is_prismatic) and Axes.of(part).spanning:
-            return Solver(robot, first, AnySix(Axes.of(part)), 0.0)
-    return None
+    solver = _found(robot)[0] if robot.concrete else None
+    return solver or solver_of(robot)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -306,8 +289,7 @@ def redundancy(robot: Robot) -> Redundancy:
 
 @functools.lru_cache(maxsize=64)
 def _redundancy(robot: Robot) -> Redundancy:
-    why = closed_form_obstacle(robot)
-    solver = _without_family(robot) if why else solver_of(robot)
+    solver, why = _found(robot)
     if solver is None:
         return Redundancy(robot, "", (), np.zeros(0), np.zeros(0), why)
     lower, upper = read_only(solver.limits())

@@ -59,8 +59,14 @@ def positioning(axes: Axes, point: np.ndarray) -> Any:
     The result's `solve(place, vectors, eps, signs)` gives a `Positioned` a solution; `own` (3, 3) is the frame that its vectors
     are in.
     """
-    kind = next(kind for kind in (ParallelElbow, MeetingShoulder, MeetingElbow, ParallelShoulder, AnyThree) if kind.fits(axes))
-    return kind(axes, point)
+    cases = {
+        ParallelElbow: axes.parallel(1, 2) and axes.oblique(0, 1),
+        MeetingShoulder: axes.meet(0, 1),
+        MeetingElbow: axes.meet(1, 2),
+        ParallelShoulder: axes.parallel(0, 1) and axes.oblique(1, 2),
+        AnyThree: True,
+    }
+    return next(kind for kind, fits in cases.items() if fits)(axes, point)
 
 
 def obstacle(axes: Axes, point: np.ndarray, named: Named) -> str:
@@ -87,10 +93,6 @@ class ParallelElbow:
     """Axes 2 and 3 parallel, 1 across them or oblique."""
 
     cost = 0
-
-    @staticmethod
-    def fits(axes: Axes) -> bool:
-        return axes.parallel(1, 2) and axes.oblique(0, 1)
 
     def __init__(self, axes: Axes, point: np.ndarray):
         h, p, _ = axes
@@ -167,11 +169,10 @@ class ParallelElbow:
 class _Turning:
     """The base of the cases that differ only in how they find the three turns; the axes stay in the arm's own frame."""
 
-    own = np.eye(3)
+    own, cost = np.eye(3), 1
 
     def __init__(self, axes: Axes, point: np.ndarray):
-        self.h, self.p, self.point = axes.h, axes.p, point
-        self.axes = axes
+        self.axes, self.h, self.p, self.point = axes, axes.h, axes.p, point
 
     def solve(self, place: Vec3, vectors: list[Vec3], eps: float, signs: Signs = ALL) -> Iterator[Positioned]:
         h = [vector_of(x, eps) for x in self.h[:3]]
@@ -190,12 +191,6 @@ class _Turning:
 class MeetingShoulder(_Turning):
     """Axes 1 and 2 meet."""
 
-    cost = 1
-
-    @staticmethod
-    def fits(axes: Axes) -> bool:
-        return axes.meet(0, 1)
-
     def turns(self, h: list[Vec3], place: Vec3, eps: float, signs: Signs) -> Iterator[tuple[Any, Scalar]]:
         centre = self.axes.point(0, 1)
         vector = lambda v: vector_of(v, eps)
@@ -212,12 +207,6 @@ class MeetingShoulder(_Turning):
 class MeetingElbow(_Turning):
     """Axes 2 and 3 meet."""
 
-    cost = 1
-
-    @staticmethod
-    def fits(axes: Axes) -> bool:
-        return axes.meet(1, 2)
-
     def turns(self, h: list[Vec3], place: Vec3, eps: float, signs: Signs) -> Iterator[tuple[Any, Scalar]]:
         centre = self.axes.point(1, 2)
         vector = lambda v: vector_of(v, eps)
@@ -233,12 +222,6 @@ class MeetingElbow(_Turning):
 
 class ParallelShoulder(_Turning):
     """Axes 1 and 2 parallel."""
-
-    cost = 1
-
-    @staticmethod
-    def fits(axes: Axes) -> bool:
-        return axes.parallel(0, 1) and axes.oblique(1, 2)
 
     def turns(self, h: list[Vec3], place: Vec3, eps: float, signs: Signs) -> Iterator[tuple[Any, Scalar]]:
         vector = lambda v: vector_of(v, eps)
@@ -258,10 +241,6 @@ class AnyThree(_Turning):
     """Axes that have nothing in common."""
 
     cost = ELLIPSE
-
-    @staticmethod
-    def fits(axes: Axes) -> bool:
-        return True
 
     def turns(self, h: list[Vec3], place: Vec3, eps: float, signs: Signs) -> Iterator[tuple[Any, Scalar]]:
         """Subproblem 5, `R_1' t - v = R_2 (u + R_3 w)`: a point of axis 2 is the origin, from where the place before joint 1

@@ -115,10 +115,8 @@ def _step(solver: Solver, q: Any, aim: Frame) -> Any:
 def _look(solver: Solver, q: Any, aim: Frame) -> tuple[list[Any], list[Any]]:
     """The Jacobian's columns of the solved joints, and how far the tip is from the pose, in base axes."""
     frames = joint_frames(solver.robot, list(q), dtype=q.dtype)
-    turn = aim.rotation @ frames.tip.rotation.T
-    skew = [(turn[i][j] - turn[j][i]) * 0.5 for i, j in ((2, 1), (0, 2), (1, 0))]
     columns = jacobian_columns(solver.robot, frames)[solver.first : solver.solved.stop]
-    return columns, [*(aim.translation - frames.tip.translation), *skew]
+    return columns, [*(aim.translation - frames.tip.translation), *(aim.rotation @ frames.tip.rotation.T).skew]
 
 
 # a batch of `closed_form`: (poses, what is given), by rows

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.analytic.positioning import obstacle, positioning
-from jaxik.analytic.turns import ALL, HalfBranch, Signs, Turn, vector_of
+from jaxik.analytic.turns import ALL, Family, HalfBranch, Signs, Turn, vector_of
 from jaxik.kinematics.axes import TOLERANCE, Axes, Named
 from jaxik.kinematics.joint_turns import wrapped
 from jaxik.spatial.algebra import Frame, Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, sub
@@ -112,11 +112,10 @@ class Orienting:
         return found
 
 
-class SphericalWrist:
+class SphericalWrist(Family):
     """Axes 4, 5, 6 of six meet; the last joint stands at `rest` [rad] where axes 4 and 6 are in line."""
 
     name, name_from_tip = "spherical wrist", "spherical shoulder"
-    joints, parameters, branches = 6, 0, 8
 
     @staticmethod
     def obstacle(axes: Axes, named: Named) -> str:

@@ -24,6 +24,7 @@ from jaxik.analytic.spherical_wrist import Oriented, Orienting
 from jaxik.analytic.turns import (
     ALL,
     ELLIPSE,
+    Family,
     HalfBranch,
     Signs,
     Turn,
@@ -85,7 +86,7 @@ class _Plane:
         return found  # type: ignore[return-value]
 
 
-class ThreeParallel:
+class ThreeParallel(Family):
     """Axes `first` to `first + 2` of six are parallel, 0 or 1; the last joint stands at `rest` [rad] where it may be anywhere.
 
     The far joint (1 or 6) is the one on the other side of the equations, a and b are the two that follow the parallel ones:
@@ -93,7 +94,6 @@ class ThreeParallel:
     """
 
     name = name_from_tip = "three parallel axes"
-    joints, parameters, branches = 6, 0, 8
 
     @staticmethod
     def obstacle(axes: Axes, first: int, named: Named) -> str:

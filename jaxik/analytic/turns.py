@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -87,30 +87,22 @@ class HalfBranch(NamedTuple):
         return HalfBranch(turns, self.margin, lambda: [(angles[::-1], margin) for angles, margin in self.finish()])
 
 
-@runtime_checkable
-class Family(Protocol):
-    """A closed form of one kind of arms, made for one of them.
+class Family:
+    """The base of closed forms of one kind of arms, made for one of them.
 
     It solves `joints` neighbours given `parameters` values of its own (the arm angle), in up to `branches` solutions. If two
     fit a robot the one of less `cost` is taken: 0 or 1 for lines that meet circles, `ELLIPSE` with an ellipse.
     """
 
-    @property
-    def name(self) -> str: ...
-    @property
-    def joints(self) -> int: ...
-    @property
-    def parameters(self) -> int: ...
-    @property
-    def branches(self) -> int: ...
-    @property
-    def cost(self) -> int: ...
+    name: str
+    cost: int
+    joints, parameters, branches = 6, 0, 8
 
     def half_branches(self, target: Frame, given: list[Scalar], eps: float, signs: Signs = ALL) -> list[HalfBranch]:
         """Returns the half branches with the last frame (or the tip) at `target`, seen from where the first joint is mounted
         [m]; numbers within `eps` of 0 and of +-1 count as those. With `signs` only the half branches with these signs of their
         two equations."""
-        ...
+        raise NotImplementedError
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -54,7 +54,7 @@ from jaxik.kinematics.axes import Axes
 from jaxik.kinematics.joint_turns import wrapped
 from jaxik.kinematics.robot import Robot
 from jaxik.optimise.linear import definite_solve
-from jaxik.spatial.algebra import Frame, Vec3, atan2, stack, sub
+from jaxik.spatial.algebra import Frame, Vec3, atan2, stack
 from jaxik.spmd import kernel
 from jaxik.spmd.host import HostKernel
 
@@ -107,7 +107,7 @@ def all_postures(robot: Robot, pose: Float[Array, "4 4"]) -> AllPostures:
     """
     check_kind("all_postures", "robot", robot, Robot)
     check_known("all_postures", robot=robot)
-    arm = _arm_of(robot)
+    arm = arm_of(robot)
     q, margin, complete = general_solutions(arm, pose)
     return AllPostures(q, margin >= 0.0, complete, arm.starts.count)
 
@@ -117,7 +117,7 @@ def all_postures(robot: Robot, pose: Float[Array, "4 4"]) -> AllPostures:
 
 
 @functools.lru_cache(maxsize=64)
-def _arm_of(robot: Robot) -> GeneralArm:
+def arm_of(robot: Robot) -> GeneralArm:
     """Returns the `general_arm` of a robot. Raises `ValueError` for one that has not six revolute joints alone. Host."""
     if robot.num_joints != 6 or any(robot.is_prismatic):
         kinds = f"{robot.num_joints} joints, {sum(robot.is_prismatic)} of them prismatic"
@@ -127,8 +127,8 @@ def _arm_of(robot: Robot) -> GeneralArm:
     return general_arm(Axes.of(robot))
 
 
-def general_arm(axes: Axes, seed: int = 0) -> GeneralArm:
-    """Returns what `general_solutions` needs of six axes; cached by their numbers. `seed` draws the random lines. Host.
+def general_arm(axes: Axes) -> GeneralArm:
+    """Returns what `general_solutions` needs of six axes. Host.
 
     Raises `ValueError` for other shapes, and for joints that cannot move the tip in all six directions.
     """
@@ -137,16 +137,10 @@ def general_arm(axes: Axes, seed: int = 0) -> GeneralArm:
     lengths = np.linalg.norm(given[0], axis=1)
     if not np.all(lengths > 0.0):
         raise ValueError(f"all_postures: h of axis {1 + int(np.argmin(lengths))} is 0 0 0; write a direction")
-    return _general_arm(*(x.tobytes() for x in given), seed)
-
-
-@functools.lru_cache(maxsize=64)
-def _general_arm(h: bytes, p: bytes, tip: bytes, seed: int) -> GeneralArm:
-    arm = links(Axes(*(np.frombuffer(x).reshape(-1, n) for x, n in ((h, 3), (p, 3), (tip, 4)))))
-    random = np.random.default_rng(seed)
-    first = _random_angles(random, 1, 0.5)
-    if _freedom(arm, first[0]) < 1e-9:
+    if not Axes(*given)._replace(h=given[0] / lengths[:, None]).spanning:
         raise ValueError("all_postures: these six joints cannot move the tip in all six directions, wherever they stand")
+    arm, random = links(Axes(*given)), np.random.default_rng(0)
+    first = _random_angles(random, 1, 0.5)
     line = _lines(arm, first)
     known = _all_solutions(arm, line, first, random)
     own = _random_angles(random, LINES, 0.15)
@@ -174,27 +168,13 @@ def _random_angles(random: np.random.Generator, count: int, imaginary: float) ->
     return np.stack([random.uniform(-np.pi, np.pi, (count, 5)), imaginary * random.normal(size=(count, 5))], axis=1)
 
 
-def _complex(x: np.ndarray) -> np.ndarray:
-    """Makes complex numbers (..., n) of (..., 2, n)."""
-    return x[..., 0, :] + 1j * x[..., 1, :]
-
-
 def _lines(arm: Arm, angles: np.ndarray) -> Line:
     """The lines (m, 2, 3) of axis 6 in frame 0 at angles (m, 2, 5)."""
-    z = _complex(angles)
+    z = angles[:, 0] + 1j * angles[:, 1]
     robot = [Link(np.sin(z[:, i]), np.cos(z[:, i]), arm.turn[i], Vec3(*arm.shift[i])) for i in range(5)]
     point, direction = line_at(robot)
     rows = [np.stack(np.broadcast_arrays(*v, z[:, 0])[:3], axis=1) for v in (point, direction)]
     return Line(*(np.stack([x.real, x.imag], axis=1) for x in rows))
-
-
-def _freedom(arm: Arm, angles: np.ndarray) -> float:
-    """The smallest singular value over the largest of the line's derivative by the five angles (2, 5)."""
-    z, step = _complex(angles), 1e-6
-    moved = np.concatenate([z[None] + step * np.eye(5), z[None] - step * np.eye(5)])
-    lines = np.concatenate([_complex(x) for x in _lines(arm, np.stack([moved.real, moved.imag], axis=1))], axis=1)
-    values = np.linalg.svd((lines[:5] - lines[5:]) / (2.0 * step), compute_uv=False)
-    return float(values[-1] / values[0])
 
 
 def _all_solutions(arm: Arm, line: Line, known: np.ndarray, random: np.random.Generator) -> np.ndarray:
@@ -395,9 +375,8 @@ def _solved_jvp(primals: Any, tangents: Any) -> Any:
     (given, target), change = primals, tangents[1]
     q, margin, complete = _solved(given, target)
     behind, moving = _behind(given.arm, target), _behind(given.arm, change, 0.0)
-    spin = moving.rotation @ behind.rotation.T
-    turn = [sub(spin[i][j], spin[j][i]) * 0.5 for i, j in ((2, 1), (0, 2), (1, 0))]
-    twist = stack([*moving.translation, *turn], (6,), target.dtype)
+    spin = (moving.rotation @ behind.rotation.T).skew
+    twist = stack([*moving.translation, *spin], (6,), target.dtype)
     inverses = _inverses(given.arm, stack([*behind.translation], (3,), target.dtype), q, margin)
     rates = lax.map(lambda inverse: inverse @ twist, inverses)  # a loop in a kernel, too
     return (q, margin, complete), (rates, jnp.zeros_like(margin), jnp.zeros_like(complete))

@@ -142,6 +142,12 @@ class Rot3(NamedTuple):
     def entries(self) -> tuple[Scalar, ...]:
         return (*self.row_x, *self.row_y, *self.row_z)
 
+    @property
+    def skew(self) -> Vec3:
+        """The axis times the sine of the angle; of a change of a rotation, `R' R.T`, the angular velocity."""
+        x, y, z = self
+        return Vec3(sub(z.y, y.z), sub(x.z, z.x), sub(y.x, x.y)) * 0.5
+
     @staticmethod
     def about(axis: Vec3, sin: Scalar, cos: Scalar) -> Rot3:
         """The rotation by an angle with this sine and cosine about a unit `axis` (Rodrigues): `c 1 + s [a]x + (1-c) a a'`."""

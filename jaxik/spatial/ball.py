@@ -152,9 +152,7 @@ def where(condition: Any, a: Any, b: Any) -> Any:
         c, a, b = perhaps(condition), perhaps(a), perhaps(b)
         every = (~c.any | a.all) & (c.all | b.all)
         return Perhaps(every, (c.any & a.any) | (~c.all & b.any), jnp.where(c.mid, a.mid, b.mid))
-    a, b = ball(a), ball(b)
-    if not isinstance(condition, Perhaps):
-        condition = perhaps(condition)
+    condition, a, b = perhaps(condition), ball(a), ball(b)
     mid = jnp.where(condition.mid, a.mid, b.mid)
     reach = [jnp.where(may, abs(x.mid - mid) + x.rad, 0.0) for may, x in ((condition.any, a), (~condition.all, b))]
     some = condition.any & ~condition.all

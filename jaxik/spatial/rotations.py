@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.arrays import numbers
-from jaxik.spatial.algebra import Rot3, Vec3, add, atan2, mul, safe_sqrt, sub, traced
+from jaxik.spatial.algebra import Rot3, Vec3, add, atan2, mul, safe_sqrt, traced
 
 # --------------------------------------------------------------------------------------------------------------------
 # Of arrays of numbers
@@ -121,7 +121,7 @@ def rotation_exp(vector: Any) -> Any:
 
 def rotation_vector(e: Rot3) -> Vec3:
     """`log E`: the axis times the angle in [0, pi] [rad]. At pi, where the axis has two directions, one of them."""
-    v = Vec3(sub(e[2].y, e[1].z), sub(e[0].z, e[2].x), sub(e[1].x, e[0].y)) * 0.5
+    v = e.skew
     cosine = 0.5 * (e[0].x + e[1].y + e[2].z - 1.0)
     sine = safe_sqrt(v.dot(v))
     angle = atan2(sine, cosine)

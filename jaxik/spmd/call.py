@@ -10,7 +10,7 @@ import hashlib
 import importlib.metadata
 import os
 import threading
-from collections.abc import Sequence, Set
+from collections.abc import Iterator, Sequence, Set
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ import numpy as np
 from jaxik.spmd import cache, machine
 from jaxik.spmd.emit import Emitter
 from jaxik.spmd.handler import Row, handler
-from jaxik.spmd.program import Program
+from jaxik.spmd.program import Op, Program
 from jaxik.spmd.scalarise import Unsupported, scalarised, type_of
 from jaxik.spmd.trace import Traced
 
@@ -67,18 +67,20 @@ def plan(traced: Traced, shared: tuple[bool, ...], name: str) -> Plan:
     emitter = Emitter(program, shared, width)
     text = emitter.function()
     needed = emitter.live.needed
-    chunk = max(1, WORTH // max(_cost(program, needed, program.top.body), 1))
+    cost = sum(times for op, times in walked(program, needed, program.top.body) if op.code not in ("loop", "branch"))
+    chunk = max(1, WORTH // max(cost, 1))
     text += "\n" + handler(name, rows_in, rows_out, width, chunk)
     return Plan(program, needed, width, chunk, text)
 
 
-def _cost(program: Program, needed: Set[int], body: Sequence[int]) -> int:
-    """Operations of one vector of lanes."""
-    total = 0
+def walked(program: Program, needed: Set[int], body: Sequence[int], times: int = 1) -> Iterator[tuple[Op, int]]:
+    """Yields the needed operations of a body and of those inside, and how often a vector of lanes comes by."""
     for op in (program.ops[v] for v in body if v in needed):
-        inner = [_cost(program, needed, b) for b in op.args.bodies] if op.code in ("loop", "branch") else [1]
-        total += sum(inner) * ((op.args.turns or GUESS) if op.code == "loop" else 1)
-    return total
+        yield op, times
+        if op.code in ("loop", "branch"):
+            turns = (op.args.turns or GUESS) if op.code == "loop" else 1
+            for inner in op.args.bodies:
+                yield from walked(program, needed, inner, times * turns)
 
 
 def made(traced: Traced, shared: tuple[bool, ...]) -> Made:

@@ -66,7 +66,8 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
     @functools.wraps(function)
     def call(*args: Any, **named: Any) -> Any:
         if named and not named.keys() <= keywords:
-            args, named = _by_position(function, args, named, keywords)
+            bound = inspect.signature(function).bind(*args, **named)  # raises as the function would
+            args, named = bound.args, bound.kwargs
         if jax.config.values["jax_disable_jit"]:
             return function(*args, **named)
         fixed, rest = args[:models], (args[models:], named)
@@ -127,15 +128,3 @@ def _keywords(function: Callable[..., Any]) -> frozenset[str]:
         parameters = inspect.signature(function).parameters
         return frozenset(name for name, each in parameters.items() if each.kind is inspect.Parameter.KEYWORD_ONLY)
     return frozenset()
-
-
-def _by_position(
-    function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any], keywords: frozenset[str]
-) -> tuple[tuple[Any, ...], dict[str, Any]]:
-    """The arguments, without names but for `keywords`. Raises `TypeError` as the function would."""
-    signature = inspect.signature(function)
-    bound = signature.bind(*args, **named)
-    place = {name: number for number, name in enumerate(signature.parameters) if name not in keywords}
-    last = max([len(args), *(1 + place[name] for name in named if name in place)])
-    bound.apply_defaults()  # of those before the last that is given; what follows is the function's own
-    return bound.args[:last], {name: value for name, value in named.items() if name not in place}

@@ -59,8 +59,18 @@ class HostKernel:
         and `ValueError` if the arguments do not have as many rows as each other.
         """
         made, operands, outs, count = self._prepared(args, double)
-        if count:
-            _run(made, operands, outs, count, threads, team)
+        if not count:
+            return outs
+        team = max(1, min(team, -(-count // made.width) // (PAYS * made.chunk))) if threads is not None else 1
+        words = _words(made, operands, outs, count, team)
+        address = words.buffer_info()[0]
+        # the arrays are held until each thread is done, even if this one is interrupted
+        work = lambda *held: made.work(address)
+        others = [threads.submit(work, words, operands, outs) for _ in range(team - 1)] if threads is not None else []
+        made.work(address)
+        for other in others:
+            if not other.cancel():  # one that has not begun is not waited for
+                other.result()
         return outs
 
     def repeated(self, *args: Any, double: bool | None = None) -> Callable[..., list[np.ndarray]]:
@@ -151,19 +161,6 @@ def _address(x: np.ndarray) -> int:
         return ctypes.addressof(ctypes.c_char.from_buffer(x))  # type: ignore[arg-type]
     except (TypeError, ValueError):  # read-only, or without entries
         return int(x.ctypes.data)
-
-
-def _run(made: call.Made, operands: list[np.ndarray], outs: list[np.ndarray], count: int, threads: Any, team: int) -> None:
-    team = max(1, min(team, -(-count // made.width) // (PAYS * made.chunk))) if threads is not None else 1
-    words = _words(made, operands, outs, count, team)
-    address = words.buffer_info()[0]
-    # the arrays are held until each thread is done, even if this one is interrupted
-    work = lambda *held: made.work(address)
-    others = [threads.submit(work, words, operands, outs) for _ in range(team - 1)]
-    made.work(address)
-    for other in others:
-        if not other.cancel():  # one that has not begun is not waited for
-            other.result()
 
 
 def _words(made: call.Made, operands: list[np.ndarray], outs: list[np.ndarray], count: int, team: int) -> array.array[int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import collections
 import dataclasses
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -15,6 +15,8 @@ import numpy as np
 from jaxik.spmd import call, machine
 from jaxik.spmd.scalarise import Unsupported
 from jaxik.spmd.trace import trace
+
+_NO_WORK = ("loop", "branch", "result", "param", "const")  # what holds others, or is none
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,12 +80,12 @@ def describe(function: Callable[..., Any], *args: Any) -> KernelReport:
         plan = call.plan(traced, shared, "explained")
     except Unsupported as error:
         return KernelReport(name, {}, (), 0, 0, 0, 0, 0, str(error))
-    operations: collections.Counter[str] = collections.Counter()
-    loops: list[int] = []
-    branches = _count(plan, plan.program.top.body, operations, loops)
+    ops = [op for op, _ in call.walked(plan.program, plan.needed, plan.program.top.body)]
+    operations = collections.Counter(op.code for op in ops if op.code not in _NO_WORK)
+    loops, branches = tuple(op.args.turns or 0 for op in ops if op.code == "loop"), sum(op.code == "branch" for op in ops)
     spills, stack = _stack(plan.text)
     size = len(machine.compiled(plan.text, len(plan.needed) > call.QUICK))
-    return KernelReport(name, dict(operations), tuple(loops), branches, plan.width, spills, stack, size)
+    return KernelReport(name, dict(operations), loops, branches, plan.width, spills, stack, size)
 
 
 def _stack(text: str) -> tuple[int, int]:
@@ -94,14 +96,3 @@ def _stack(text: str) -> tuple[int, int]:
     spills = re.findall(r"\b(?:[xyz]mm|[qdsv])\d+\b.*-byte (?:Folded )?Spill", inside)
     frames = re.findall(r"subq\s+\$(\d+), %rsp|sub\s+sp, sp, #(\d+)", inside)
     return len(spills), max((int(a or b) for a, b in frames), default=0)
-
-
-def _count(plan: call.Plan, body: Sequence[int], operations: collections.Counter[str], loops: list[int]) -> int:
-    branches = 0
-    for op in (plan.program.ops[v] for v in body if v in plan.needed):
-        if op.code in ("loop", "branch"):
-            loops += [op.args.turns or 0] if op.code == "loop" else []
-            branches += (op.code == "branch") + sum(_count(plan, inner, operations, loops) for inner in op.args.bodies)
-        elif op.code not in ("result", "param", "const"):
-            operations[op.code] += 1
-    return branches

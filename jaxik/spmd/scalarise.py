@@ -200,7 +200,7 @@ class Scalariser:
         return found
 
     def offset(self, place: Sequence[Index], strides: Sequence[int]) -> int | None:
-        """What the computed indices of a place add to its address; None where there are none."""
+        """Returns what the computed indices of a place add to its address; None where there are none."""
         p, total = self.program, None
         for i, stride in zip(place, strides, strict=True):
             if isinstance(i, Computed):

@@ -98,7 +98,7 @@ def bodies(eqn: Any) -> Iterator[tuple[Jaxpr, Sequence[Any], list[tuple[Any, ...
         case _:
             inner = called(eqn)
             if inner is not None:
-                yield getattr(inner, "jaxpr", inner), eqn.invars, outs
+                yield inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner, eqn.invars, outs
 
 
 def called(eqn: Any) -> ClosedJaxpr | Jaxpr | None:

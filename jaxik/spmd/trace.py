@@ -187,9 +187,7 @@ def _along(way: Callable[..., Any], avals: Sequence[Any], inputs: Sequence[Any])
 def digest(closed: ClosedJaxpr) -> str:
     """A hash of what the jaxpr computes: operations, shapes, numbers; not of its names or of how it is differentiated."""
     content = hashlib.sha256()
-    _jaxpr(closed.jaxpr, content)
-    for c in closed.consts:
-        _value(c, content)
+    _value(closed, content)
     return content.hexdigest()[:32]
 
 

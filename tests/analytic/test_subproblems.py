@@ -6,9 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import subproblems
 from scipy.spatial.transform import Rotation
 
-from jaxik.analytic import subproblems, turns
+from jaxik.analytic import turns
 from jaxik.spatial.algebra import Vec3
 from jaxik.spatial.ball import Ball
 

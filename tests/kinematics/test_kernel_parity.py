@@ -12,11 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import subproblems
 from jax.extend.core import jaxpr_as_fun
 from papers.harvest_costs import harvest_orientation_cost, position_cost
 
 import jaxik
-from jaxik.analytic import subproblems
 from jaxik.analytic.solutions import closed_branches, closed_forms
 from jaxik.collision import clearances as collision
 from jaxik.kinematics import forward

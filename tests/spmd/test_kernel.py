@@ -148,6 +148,8 @@ def test_arguments_by_name():
     close(scaled(Q[0]), 2.0 * jnp.asarray(Q[0]))
     close(jax.jit(jax.vmap(lambda q, by: scaled(q, by=by, less=1.0)))(Q, LENGTHS[:, 0]), Q * LENGTHS[:, :1] - 1.0)
     close(jax.jit(lambda q: scaled(q=q, to=q, by=3.0))(Q[0]), Q[0])
+    worded = spmd.kernel(lambda q, way="up", by=2.0: q * by if way == "up" else -q)
+    assert "spmd_kernel" in str(jax.make_jaxpr(lambda q: worded(q, by=3.0))(Q[0]))  # a default between the two folds
     with pytest.raises(TypeError):
         scaled(Q[0], 1.0, 2.0)
     with pytest.raises(TypeError, match="unexpected keyword argument 'of'"):

@@ -1,4 +1,5 @@
-"""The subproblems that closed forms are put together of: turns about given axes that bring points where they should be.
+"""The subproblems that closed forms are put together of, on arrays, to test the equations of `jaxik.analytic.turns` by them:
+turns about given axes that bring points where they should be.
 
 1 to 3 are Paden's and Kahan's [Murray, Li and Sastry 1994, ch. 3.3], 4 to 6 those of IK-Geo [Elias and Wen 2022]:
 
@@ -10,7 +11,7 @@
     6   h_j1 . R(k1, a) p_j1 + h_j2 . R(k2, b) p_j2 = d_j, j = 1, 2      up to four pairs
 
 R(k, a) is the rotation by the angle a [rad] about the unit axis k. These functions take arrays; the families of arms call the
-same equations on scalars (`turns`).
+same equations on scalars.
 """
 
 from __future__ import annotations
