@@ -127,7 +127,7 @@ class Links:
     def couples(self, pair: Pair, bodies: Bodies | None = None) -> list[tuple[Body, Body]]:
         """The bodies of a pair of links, each with each; or the `bodies` that stand for all links' parts."""
         own = lambda each: [body for link, body in bodies or self.bodies if link == each]
-        return [*itertools.product(*map(own, pair))]
+        return [*itertools.product(own(pair[0]), own(pair[1]))]
 
     def passes(self, pair: Pair) -> list[Pass]:
         """Where bodies of a pair of links come nearer than `NEAR` [m]."""
