@@ -65,7 +65,7 @@ def bare(arm):
 
 
 def test_an_own_shape_serves_a_robot_that_ignores_others(arm):
-    """What a robot ignores is written into obstacles alone, of which there are none."""
+    """Only obstacles hold what a robot ignores, and there are none."""
     around = grouped(None, arm)
     assert around and grouped(around, dataclasses.replace(arm, ignored=((0, "*"),))) is around
 
