@@ -93,7 +93,7 @@ def _carried(scene: Scene, name: str, joint_T_world: np.ndarray, link: int) -> I
     for kind, obstacles, owners in scene.by_kind():
         fields = {at: np.asarray(getattr(obstacles, at), np.float64) for at in SHAPES[kind]}
         for i in np.flatnonzero((owners == index) & obstacles.there):
-            row = {at: x[i] if x.ndim else x for at, x in fields.items()}
+            row = {at: np.asarray(x[i] if x.ndim else x) for at, x in fields.items()}
             if kind == "boxes":
                 frame = joint_T_world @ row["world_T_box"]
                 yield Box(frame, row["half"], link), placed(brick(row["half"]), frame), 0.0

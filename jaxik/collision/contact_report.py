@@ -190,7 +190,7 @@ class _Pairs:
             yield _least(np.where(seen, apart, np.inf), owners, self.links) + np.array([0, start, 0])
 
     def told(self, kernel: Callable[..., HostKernel], other: Any, volume: Any) -> list[np.ndarray]:
-        """What a kernel tells of pairs, given by their rows."""
+        """Returns what a kernel tells of pairs, given by their rows."""
         (mine, ours), (beside, theirs) = map(jax.tree_util.tree_flatten, (self.volumes, self.others))
         rows = [np.asarray(x, np.float64)[volume] for x in mine] + [np.asarray(x, np.float64)[other] for x in beside]
         return kernel(self.gap, ours, theirs)(np.stack(rows, axis=1))

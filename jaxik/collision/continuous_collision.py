@@ -76,9 +76,9 @@ def motion_clearance(
     enough: Any = np.inf,
 ) -> MotionClearance:
     """A bound from below of the clearance [m] on the whole motion `start + t (goal - start)`, 0 <= t <= 1, not at samples.
-    Traced, and one kernel on a CPU.
+    Traced.
 
-    With `D(t)` the `clearance` of a configuration, told as far as the margin
+    One kernel on a CPU. With `D(t)` the `clearance` of a configuration, told as far as the margin
     at least, a motion that keeps more than `margin + resolution` [m] throughout is proven free, one that comes to `margin`
     never is, and
 

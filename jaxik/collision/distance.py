@@ -177,7 +177,8 @@ def between(s: tuple[Vec3, ...], t: tuple[Vec3, ...]) -> Any:
     if len(more) == 1:
         return norm(fewer[0] - more[0])
     if len(more) == 2:
-        return point_segment(*fewer, *more) if len(fewer) == 1 else segment_segment(*fewer, *more)
+        measure: Callable[..., Any] = point_segment if len(fewer) == 1 else segment_segment
+        return measure(*fewer, *more)
     if len(fewer) == 1:
         return point_triangle(*fewer, *more)
     crosses = passes_through if len(fewer) == 2 else triangles_cross

@@ -90,17 +90,15 @@ class Space:
         self.inner = len(self.others)  # the first of those that are the same triangles, seen from inside
         for k in self.solid:
             self._put(self.others[k].columns, depth_gap, *self.others[k][2:5])
-        self.own = self._own_shape(around, self.rows + len(self.trees.tables.size))
+        numbers = self.first[-1], self.rows + len(self.trees.tables.size)
+        parts = next((Parts(self, own, *numbers) for own in bvh.own_in(around, OwnParts)), None)
+        # what decides where volumes are near: surfaces, or else convex parts
+        self.own: Exact | Parts | None
+        self.own = next((Exact(self, own, *numbers, parts) for own in bvh.own_in(around, OwnSurfaces)), parts)
 
     def _put(self, columns: Any, *kind: Any) -> None:
         self.others.append(Others(columns, *kind, origin=self.rows))
         self.rows += count_of(columns)
-
-    def _own_shape(self, around: Grouped, origin: int) -> Exact | Parts | None:
-        """The own shape that decides where volumes are near, numbered from `origin` on: surfaces, or else convex parts."""
-        first = self.first[-1]
-        parts = next((Parts(self, own, first, origin) for own in bvh.own_in(around, OwnParts)), None)
-        return next((Exact(self, own, first, origin, parts) for own in bvh.own_in(around, OwnSurfaces)), parts)
 
     # ----------------------------------------------------------------------------------------------------------------
     # Which pairs
@@ -155,7 +153,9 @@ class Space:
         """The nearest pair of part p, a later one of two parts, or what was `found` if none is nearer."""
         ball = row_at(self.parts, p)
         if itself and len(self.trees.other):  # before the obstacles: near whatever the scene, it rules most of them out
-            found = self._to_itself(p, ball, found)
+            first, last = entry(self.trees.first, p), entry(self.trees.last, p)
+            by_volumes = lambda found: lax.fori_loop(first, last, functools.partial(self._to_part, p, ball), found)
+            found = by_volumes(found) if self.own is None else self._by_own_shape(first, last, found)
         for k, obstacles in enumerate(self.obstacles):
             found = self._to_branches(p, ball, k, jnp.int32(0), jnp.asarray(obstacles.count, jnp.int32), found)
         return found
@@ -191,13 +191,6 @@ class Space:
     def counts(self, p: Any, k: int, b: Any) -> Any:
         """Whether branch b of the obstacles of kind k counts for part p."""
         return entry(self.obstacles[k].ignored, b) & entry(self.bits, p) == 0 if self.bits is not None else True
-
-    def _to_itself(self, p: Any, ball: Any, found: Found) -> Found:
-        """Part p against those that it is checked against."""
-        first, last = entry(self.trees.first, p), entry(self.trees.last, p)
-        if self.own is not None:
-            return self._by_own_shape(first, last, found)
-        return lax.fori_loop(first, last, functools.partial(self._to_part, p, ball), found)
 
     def _by_own_shape(self, first: Any, last: Any, found: Found) -> Found:
         """The pairs of parts from `first` to `last`, not counted, of a robot with an own shape."""

@@ -1,6 +1,6 @@
 """Measures what a robot's links are made of, which decides where its volumes are too near to tell (`own_shape`).
 
-Of convex parts each couple, or part and obstacle, is measured by `gjk`. The distances of a robot's own triangles are found by
+Each couple of convex parts, or part and obstacle, is measured by `gjk`. The distances of a robot's own triangles are found by
 walks through trees (`surface_trees`), in which lanes whose volumes are far apart take no part.
 """
 

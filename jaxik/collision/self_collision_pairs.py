@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -25,17 +25,6 @@ class SelfCollisions(NamedTuple):
     share: float
 
 
-def candidate_pairs(
-    robot: Robot, links: Iterable[int], disabled: frozenset[frozenset[str]], aside: Collection[str] = ()
-) -> list[tuple[int, int]]:
-    """The pairs of some links that are neither neighbours, nor move together, nor are `disabled`. Links `aside`, behind joints
-    beside the chain, are neighbours of none whose joint is another."""
-    joint, names = robot.link_joint, robot.link_names
-    least = lambda a, b: 1 if names[a] in aside or names[b] in aside else 2
-    checked = lambda a, b: abs(joint[a] - joint[b]) >= least(a, b) and frozenset((names[a], names[b])) not in disabled
-    return [(a, b) for a, b in itertools.combinations(sorted(links), 2) if checked(a, b)]
-
-
 def self_collisions(
     robot: Robot, disabled: frozenset[frozenset[str]] = frozenset(), aside: Collection[str] = ()
 ) -> SelfCollisions:
@@ -43,9 +32,13 @@ def self_collisions(
 
     Left out: links that move together or are neighbours on the chain, pairs in `disabled` (SRDF), pairs that are as far apart
     in all random configurations (fixed seed), of which no posture is better than another, and pairs that touch in at least
-    95 % of them: their shapes overlap by design and would always report a collision.
+    95 % of them: their shapes overlap by design and would always report a collision. Links `aside`, behind joints beside the
+    chain, are neighbours of none whose joint is another.
     """
-    pairs = candidate_pairs(robot, solid_links(robot), disabled, aside)
+    names, between = robot.link_names, lambda a, b: abs(robot.link_joint[a] - robot.link_joint[b])
+    least = lambda a, b: 1 if names[a] in aside or names[b] in aside else 2
+    checked = lambda a, b: between(a, b) >= least(a, b) and frozenset((names[a], names[b])) not in disabled
+    pairs = [pair for pair in itertools.combinations(solid_links(robot), 2) if checked(*pair)]
     if not pairs:
         return SelfCollisions((), (), 0.0)
     rng = np.random.default_rng(0)
@@ -59,8 +52,8 @@ def self_collisions(
             balls.append((np.stack([np.broadcast_to(c, shape).T for c in corner], axis=-1), skeleton.radius, skeleton.link))
     p, r, o = (np.concatenate(each) for each in zip(*balls, strict=True))
     gaps = {(a, b): _gaps(p, r, o == a, o == b) for a, b in pairs}
-    near = lambda a, b: abs(robot.link_joint[a] - robot.link_joint[b]) < 2  # of a link that is held: it may be held otherwise
-    told = {pair: gap <= 0.0 for pair, gap in gaps.items() if near(*pair) or np.ptp(gap) > STILL or gap[0] <= 0.0}
+    near = lambda pair: between(*pair) < 2  # of a link that is held: it may be held otherwise
+    told = {pair: gap <= 0.0 for pair, gap in gaps.items() if near(pair) or np.ptp(gap) > STILL or gap[0] <= 0.0}
     kept = {pair: hit for pair, hit in told.items() if hit[:-1].mean() < 0.95}
     share = np.any([hit[:-1] for hit in kept.values()], axis=0).mean() if kept else 0.0
     return SelfCollisions(tuple(kept), tuple(pair for pair, hit in kept.items() if hit[-1]), float(share))

@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxik.collision import distance, gjk
+from jaxik.collision import distance, gjk, surface_trees
 from jaxik.collision.gjk import farthest
 from jaxik.collision.leaf_rows import Found, entry
 from jaxik.collision.scene import with_zeros
-from jaxik.collision.surface_trees import Trees, order_of, roomy, surface_gap, tree_of, winds_around
+from jaxik.collision.surface_trees import Trees, roomy, surface_gap, tree_of, winds_around
 from jaxik.kinematics.shapes import Surface
 from jaxik.spatial.algebra import Frame, Vec3, safe_sqrt, traced
 from jaxik.spmd import HostKernel
@@ -220,8 +220,8 @@ def _tree(surface: Surface, room: int) -> Trees:
 
 def distances(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     """How far points (p, 3) are from the nearest of some triangles (t, 3, 3) [m]."""
-    tree = roomy(tree_of(triangles[order_of(triangles)]))
-    (found,) = in_blocks(_DISTANCE, points, fixed=(tree.corners, np.int32(len(triangles))), double=True)
+    room = next(n for n in surface_trees.ROOMS if n >= len(triangles))
+    (found,) = in_blocks(_DISTANCE, points, fixed=(with_zeros(triangles, room, np), np.int32(len(triangles))), double=True)
     return np.asarray(found)
 
 

@@ -124,9 +124,10 @@ class Links:
         """The numbers of a link's bodies."""
         return [i for i, (owner, _) in enumerate(self.bodies) if owner == link]
 
-    def couples(self, pair: Pair) -> list[tuple[Body, Body]]:
-        """The bodies of a pair of links, each with each."""
-        return [(self.bodies[i][1], self.bodies[j][1]) for i, j in itertools.product(*map(self.of, pair))]
+    def couples(self, pair: Pair, bodies: Bodies | None = None) -> list[tuple[Body, Body]]:
+        """The bodies of a pair of links, each with each; or the `bodies` that stand for all links' parts."""
+        own = lambda each: [body for link, body in bodies or self.bodies if link == each]
+        return [*itertools.product(own(pair[0]), own(pair[1]))]
 
     def passes(self, pair: Pair) -> list[Pass]:
         """Where bodies of a pair of links come nearer than `NEAR` [m]."""
@@ -274,8 +275,7 @@ class Links:
         those in which they do not `touch`."""
         rows, found = np.flatnonzero(~touch), np.zeros(len(self.q), bool)
         turn, place = between(self.robot, pair, self.frames[:, rows])
-        first, second = ([body for link, body in bodies or self.bodies if link == each] for each in pair)
-        found[rows] = gaps([*itertools.product(first, second)], turn, place, 1e-9) <= 0.0
+        found[rows] = gaps(self.couples(pair, bodies), turn, place, 1e-9) <= 0.0
         return found
 
     def cut(self, pair: Pair, falsely: np.ndarray) -> int | None:

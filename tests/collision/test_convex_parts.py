@@ -64,6 +64,12 @@ def bare(arm):
     return dataclasses.replace(arm, convex_parts=())
 
 
+def test_an_own_shape_serves_a_robot_that_ignores_others(arm):
+    """Only obstacles hold what a robot ignores, and there are none."""
+    around = grouped(None, arm)
+    assert around and grouped(around, dataclasses.replace(arm, ignored=((0, "*"),))) is around
+
+
 def convex(points):
     corners = coal.StdVec_Vec3s()
     for point in np.asarray(points, float):
