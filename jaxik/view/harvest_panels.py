@@ -11,8 +11,8 @@ import numpy as np
 from jaxik.harvesting.driver import HarvestResult
 from jaxik.harvesting.harvest_plan import HarvestPlan
 from jaxik.spatial.rotations import to_wxyz
-from jaxik.view.harvest_pictures import fate, posture
 from jaxik.view.palette import PATH, boxed, marked, rgb
+from jaxik.view.pictures import fate, posture
 from jaxik.view.solids import frames
 from jaxik.view.stage import Stage
 
