@@ -152,11 +152,11 @@ def _draw(axis: Any, result: HarvestResult, crop: _Crop, row: HarvestResult, i: 
 
 def _write_harvest(figure: Figure, result: HarvestResult, shown: int) -> None:
     """The title above and the legend below, where no plant is."""
-    solved, count = int(result.success.sum()), len(result)
+    solved, count = int(np.sum(result.success)), len(result)
     title = f"{result.robot.name} can pick {solved} of {count} fruits of {result.scene.name}"
     how = "For each fruit the best posture, from the front (left) and from the side (right), and how far it stays from all else"
     how += f". The first {shown} are shown." if shown < count else "."
-    fates = {r: "can be picked" if r == Reason.SOLVED else WORDS[r] for r in COLOURS if r in result.reason}
+    fates = {r: "can be picked" if r == Reason.SOLVED else WORDS[r] for r in COLOURS if r in np.ravel(result.reason)}
     entries = [
         Patch(fc=ARM, ec=ARM_EDGE, label="the arm, as the volumes that are kept clear"),
         Line2D([], [], color=INK, marker=".", label="its joints, to the tip"),
@@ -213,7 +213,7 @@ def _draw_side(axis: Any, plan: HarvestPlan, paths: Paths, k: int) -> None:
     for stage, (way, _) in zip(plan.stages, paths, strict=True):
         if stage.kind in PLACES:
             axis.plot(*way[-1, [0, k]], PLACES[stage.kind], ms=9, color=INK, zorder=5)
-    for fruit in plan.scene.marks:
+    for fruit in (mark for mark in plan.scene.marks if mark.name in rows):
         words = str(number.get(fruit.name, "✗"))
         box = {"boxstyle": "circle,pad=0.25", "fc": "w", "ec": COLOURS[rows[fruit.name].reason], "lw": 1.6}
         looks = {"ha": "center", "va": "center", "fontsize": 10, "weight": "bold", "color": INK}
