@@ -48,7 +48,7 @@ class Latest:
 
 
 class Stage:
-    """What all tabs of a page act on. With `teleop` the tip is steered by the target, not brought there.
+    """The robot, its scene and its target, on which all tabs of a page act. With `teleop` the target steers the tip.
 
     `home` is the robot where it stands, `robot` where a tab has put it; `scene` is what is around it, which a tab may make
     less of. `blind` says why clearance cannot be measured; nothing where it can.

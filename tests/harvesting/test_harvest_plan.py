@@ -180,7 +180,7 @@ def test_files_hold_all_stages(plan, harvested, tmp_path, monkeypatch):
 
 
 def test_some_of_the_rows_are_drawn(plan, harvested, tmp_path):
-    """Of a scene that has more fruits."""
+    """The scene has more fruits than these."""
     for rows in (0, slice(0, 2)):
         plot_harvest(harvested[rows], tmp_path / "harvest.png")
         plot_harvest_plan(plan[rows], tmp_path / "motions.png")
