@@ -35,9 +35,14 @@ def marker(colour: str, shape: str, label: str, **looks: Any) -> Line2D:
     return Line2D([], [], color=colour, marker=shape, lw=0, label=label, **looks)
 
 
-def inches(figure: Figure, *lengths: float) -> list[float]:
+def inches(figure: Figure, *lengths: float) -> Any:
     """Lengths across and up in turn [inches], as fractions of a figure's."""
-    return [length / figure.get_size_inches()[k % 2] for k, length in enumerate(lengths)]
+    return tuple(length / figure.get_size_inches()[k % 2] for k, length in enumerate(lengths))
+
+
+def write(figure: Any, left: float, low: float, words: str, **looks: Any) -> None:
+    """Writes words at a place [inches]."""
+    figure.text(*inches(figure, left, low), words, **{"color": INK, **looks})
 
 
 def write_around(
@@ -45,8 +50,8 @@ def write_around(
 ) -> None:
     """Writes a title and a line below it, each so far from the top, and a legend so far from the bottom [inches]."""
     height = figure.get_size_inches()[1]
-    for (below, words), looks in zip(lines, ({"fontsize": 15, "weight": "bold"}, {"fontsize": 10}), strict=True):
-        figure.text(*inches(figure, left, height - below), words, color=INK, **looks)
+    for (below, words), size, weight in zip(lines, (15, 10), ("bold", "normal"), strict=True):
+        write(figure, left, height - below, words, fontsize=size, weight=weight)
     place = inches(figure, left, low)
     figure.legend(handles=entries, loc="lower left", bbox_to_anchor=place, ncols=columns, fontsize=9, frameon=False)
 
@@ -83,8 +88,8 @@ def plot_harvest(result: HarvestResult, path: str | Path) -> None:
             axis.set_ylabel("" if i or column else "z [m]", fontsize=8)
         mark, colour = ("✓", GOOD) if row.success else ("✗", BAD)
         above = low + scale * height + 0.06
-        figure.text(*inches(figure, left, above), mark, fontsize=11, weight="bold", color=colour)
-        figure.text(*inches(figure, left + 0.17, above), f"{row.fruit}: {fate(row)}", fontsize=9, color=INK)
+        write(figure, left, above, mark, fontsize=11, weight="bold", color=colour)
+        write(figure, left + 0.17, above, f"{row.fruit}: {fate(row)}", fontsize=9)
     _write_harvest(figure, result, len(rows))
     figure.savefig(path, dpi=110, format="png")
 
@@ -237,7 +242,7 @@ def _write_plan(figure: Figure, plan: HarvestPlan) -> None:
     lines = (0.4, title), (0.68, f"{each}the numbers are their order, ✗ is not picked")
     write_around(figure, 0.7, lines, 0.35, entries, 4)
     failed = "; ".join(f"{row.fruit}: {row.why}" for row in plan if not row.stages)
-    figure.text(*inches(figure, 0.7, 0.15), failed, fontsize=9, color=INK)
+    write(figure, 0.7, 0.15, failed, fontsize=9)
 
 
 NEAR = 0.25  # of its limit, from which on a torque is drawn beside it
