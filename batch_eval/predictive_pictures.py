@@ -20,7 +20,7 @@ from setups import self_collision as case
 
 import jaxik
 from jaxik.optimise.descent import Direction, Search
-from jaxik.view.solids import bones
+from jaxik.view.solids import frames
 
 GREY, BLUE, GREEN = "0.6", "tab:blue", "tab:green"
 
@@ -92,7 +92,7 @@ def _draw_pendulum(axis: Any, motions: Sequence[Shown], t: float) -> None:
     axis.plot(*pendulum.OBSTACLE[:2], "o", color="tab:orange", ms=5)
     for motion in motions:
         k = min(round(t / motion.dt), len(motion.q) - 1)
-        axis.plot(*bones(arm, motion.q[k])[:, :2].T, "o-", color=motion.colour, lw=3, ms=4, label=motion.name)
+        axis.plot(*frames(arm, motion.q[k])[1:, :2, 3].T, "o-", color=motion.colour, lw=3, ms=4, label=motion.name)
     axis.set(xlim=(-1.1, 2.1), ylim=(-0.6, 4.2), aspect="equal")
 
 

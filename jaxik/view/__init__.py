@@ -1,8 +1,7 @@
 """Pictures, and a page in the browser (extra `[view]`)."""
 
-from jaxik.view.harvest_pictures import plot_harvest, plot_harvest_plan
 from jaxik.view.page import Page
-from jaxik.view.pictures import plot_torques
+from jaxik.view.pictures import plot_harvest, plot_harvest_plan, plot_torques
 from jaxik.view.sweep_picture import plot_sweep
 
 __all__ = ["Page", "plot_harvest", "plot_harvest_plan", "plot_sweep", "plot_torques"]

@@ -75,8 +75,13 @@ class RobotDrawing:
         some, apart = bool(self.parts), fitted or bool(robot.boxes)  # else its volumes are its own shape
         self.shape = gui.add_checkbox("its own shape", True, visible=some)
         self.volumes = gui.add_checkbox("volumes kept clear", fitted, visible=some and apart)
+
+        def used(_: Any) -> None:
+            self._style()
+            redraw()
+
         for switch in (self.shape, self.volumes):
-            switch.on_update(lambda _: (self._style(), redraw()))
+            switch.on_update(used)
         self._style()
         self.tip = scene.add_frame("/robot/tip", axes_length=0.08, axes_radius=0.004)
         none = np.zeros((1, 2, 3))

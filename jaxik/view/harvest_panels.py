@@ -11,8 +11,8 @@ import numpy as np
 from jaxik.harvesting.driver import HarvestResult
 from jaxik.harvesting.harvest_plan import HarvestPlan
 from jaxik.spatial.rotations import to_wxyz
-from jaxik.view.harvest_pictures import fate, posture
 from jaxik.view.palette import PATH, boxed, marked, rgb
+from jaxik.view.pictures import fate, posture
 from jaxik.view.solids import frames
 from jaxik.view.stage import Stage
 
@@ -21,7 +21,7 @@ class FruitList:
     """The controls of the list. The first fruit that can be picked is shown."""
 
     def __init__(self, page: Stage, harvest: HarvestResult):
-        gui, solved = page.server.gui, int(harvest.success.sum())
+        gui, solved = page.server.gui, int(np.sum(harvest.success))
         self.page, self.rows = page, {f"{'✓' if row.success else '✗'} {row.fruit}": row for row in harvest}
         gui.add_markdown(f"**{page.robot.name} can pick {solved} of the {len(self.rows)} fruits.** Choose one:")
         self.chosen, self.said = gui.add_dropdown("fruit", list(self.rows)), gui.add_html("")

@@ -49,7 +49,7 @@ WORDS = {  # what stands out first
     "fixed": "do not move against each other",
 }
 OPEN = 20  # rows, of which a group is closed at first if it has more, but for the first
-# A page of viser has no other way back from what it does not know than a field that it knows (`hands`).
+# A page of viser has no other way back from what it does not know than a field that it knows (see `steering.PagePad`).
 _SCRIPT = """const row = event.target.closest('[data-pair]');
 const field = [...document.querySelectorAll('input')].find(x => x.value.startsWith('pair:'));
 if (row && field) {

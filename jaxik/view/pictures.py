@@ -1,21 +1,28 @@
-"""What all pictures share (matplotlib, no window needed), and the picture of what a motion takes of the joints."""
+"""Pictures of a robot at work (matplotlib, no window needed): each fruit's posture, the tip's paths along the row, and what a
+motion takes of the joints."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
+from jaxik.harvesting.driver import HarvestResult
+from jaxik.harvesting.harvest_plan import HarvestPlan
 from jaxik.kinematics.robot import Robot
-from jaxik.view.palette import INK
-from jaxik.view.solids import Solid
+from jaxik.reasons import Reason
+from jaxik.view.palette import ARM, ARM_EDGE, BAD, CARRIED, COLOURS, GOOD, INK, LEAF, OBSTACLE, PATH, WORDS
+from jaxik.view.solids import Solid, frames, scene_points, scene_solids, volume_solids
 
-NEAR = 0.25  # of its limit, from which on a torque is drawn beside it
+COLUMNS, MOST = 4, 120  # panels in a row, and at all
+DOTS = 5_000  # points of a scene that a panel shows
+SIDE, GAP, TITLE, HEAD, FOOT = 0.6, 0.12, 0.3, 0.8, 1.25  # [inches]
 
 
 def draw_solids(axis: Any, solids: Iterable[Solid], i: int, j: int, **looks: Any) -> None:
@@ -28,9 +35,14 @@ def marker(colour: str, shape: str, label: str, **looks: Any) -> Line2D:
     return Line2D([], [], color=colour, marker=shape, lw=0, label=label, **looks)
 
 
-def inches(figure: Figure, *lengths: float) -> list[float]:
+def inches(figure: Figure, *lengths: float) -> Any:
     """Lengths across and up in turn [inches], as fractions of a figure's."""
-    return [length / figure.get_size_inches()[k % 2] for k, length in enumerate(lengths)]
+    return tuple(length / figure.get_size_inches()[k % 2] for k, length in enumerate(lengths))
+
+
+def write(figure: Any, left: float, low: float, words: str, **looks: Any) -> None:
+    """Writes words at a place [inches]."""
+    figure.text(*inches(figure, left, low), words, **{"color": INK, **looks})
 
 
 def write_around(
@@ -38,10 +50,202 @@ def write_around(
 ) -> None:
     """Writes a title and a line below it, each so far from the top, and a legend so far from the bottom [inches]."""
     height = figure.get_size_inches()[1]
-    for (below, words), looks in zip(lines, ({"fontsize": 15, "weight": "bold"}, {"fontsize": 10}), strict=True):
-        figure.text(*inches(figure, left, height - below), words, color=INK, **looks)
+    for (below, words), size, weight in zip(lines, (15, 10), ("bold", "normal"), strict=True):
+        write(figure, left, height - below, words, fontsize=size, weight=weight)
     place = inches(figure, left, low)
     figure.legend(handles=entries, loc="lower left", bbox_to_anchor=place, ncols=columns, fontsize=9, frameon=False)
+
+
+class _Crop(NamedTuple):
+    """The crop in every panel, the frames and volumes of the arm in each, and the box (2, 3) [m] that all of them show."""
+
+    solids: list[Solid]
+    points: np.ndarray
+    owners: np.ndarray
+    reasons: dict[str, Reason]
+    arms: dict[str, tuple[np.ndarray, list[Solid]]]
+    box: np.ndarray
+
+
+def plot_harvest(result: HarvestResult, path: str | Path) -> None:
+    """Draws one picture (PNG) with two views for every fruit: the robot at its posture, or what is in the way. Host."""
+    crop, rows = _crop(result), list(result[:MOST])
+    columns = min(COLUMNS, len(rows))
+    width, depth, height = crop.box[1] - crop.box[0]
+    scale = min((4.0 - GAP - 0.15) / (width + depth), 3.0 / height)  # [inches/m]: a pair of views is at most 4 inches wide
+    cell = scale * (width + depth) + GAP + 0.15, scale * height + TITLE + GAP
+    size = max(columns * cell[0] + SIDE, 11.0), -(-len(rows) // columns) * cell[1] + HEAD + FOOT
+    figure = Figure(figsize=size)
+    for k, row in enumerate(rows):
+        line, column = divmod(k, columns)
+        left, low = SIDE + column * cell[0], size[1] - HEAD - (line + 1) * cell[1] + GAP
+        last = k + columns >= len(rows)
+        for i, x, w in ((0, left, scale * width), (1, left + scale * width + GAP, scale * depth)):
+            axis = figure.add_axes(inches(figure, x, low, w, scale * height))
+            _draw(axis, result, crop, row, i)
+            axis.tick_params(labelsize=8, labelbottom=last, labelleft=not (i or column))
+            axis.set_xlabel("xy"[i] + " [m]" if last else "", fontsize=8)
+            axis.set_ylabel("" if i or column else "z [m]", fontsize=8)
+        mark, colour = ("✓", GOOD) if row.success else ("✗", BAD)
+        above = low + scale * height + 0.06
+        write(figure, left, above, mark, fontsize=11, weight="bold", color=colour)
+        write(figure, left + 0.17, above, f"{row.fruit}: {fate(row)}", fontsize=9)
+    _write_harvest(figure, result, len(rows))
+    figure.savefig(path, dpi=110, format="png")
+
+
+def fate(row: HarvestResult) -> str:
+    """The fate of a fruit, in a grower's words."""
+    if row.success:
+        return f"{1000.0 * row.clearance:.0f} mm clear"
+    if row.blockers is None:
+        return WORDS[row.reason]
+    if row.blockers.mend:
+        return f"blocked; first {row.blockers.mend}"
+    return f"hidden {row.blockers.words}" if row.blockers.names else "the arm would hit itself"
+
+
+def in_the_way(row: HarvestResult) -> tuple[str, ...]:
+    """The objects that keep the robot from a fruit."""
+    return () if row.blockers is None else row.blockers.in_the_way
+
+
+def posture(row: HarvestResult) -> np.ndarray | None:
+    """The posture that picks a fruit, or would once what is in the way were gone."""
+    if row.success:
+        return row.q
+    return None if row.blockers is None or row.blockers.row is None else np.asarray(row.scan.table.q[row.blockers.row])
+
+
+def _crop(result: HarvestResult) -> _Crop:
+    robot, (points, owners), solids = result.robot, scene_points(result.scene), scene_solids(result.scene)
+    some = np.random.default_rng(0).permutation(len(points))[:DOTS]
+    reasons, arms = {row.fruit: row.reason for row in result}, {}
+    for row in result:
+        if (q := posture(row)) is not None:
+            placed = frames(robot, q)
+            arms[row.fruit] = placed, [s.moved(placed[robot.link_joint[link]]) for link, s in volume_solids(robot)]
+    near = [s.span for s in solids if s.owner in reasons] + [s.span for _, arm in arms.values() for s in arm]
+    places = [f.position for f in result.scene.marks] + [np.asarray(robot.world_T_base)[:3, 3]]
+    held = np.concatenate([points, np.array(places), *near])
+    box = np.array([held.min(axis=0) - 0.05, held.max(axis=0) + 0.05])  # stems and wires go on beyond
+    return _Crop(solids, points[some], owners[some], reasons, arms, box)
+
+
+def _draw(axis: Any, result: HarvestResult, crop: _Crop, row: HarvestResult, i: int) -> None:
+    """One view of one fruit: from the front (i = 0, x and z) or from the side (i = 1, y and z)."""
+    blocking = in_the_way(row)
+    if row.fruit in crop.arms:
+        placed, arm = crop.arms[row.fruit]
+        fill = ARM if row.success else "w"
+        draw_solids(axis, arm, i, 2, facecolor=fill, edgecolor=ARM_EDGE, linewidth=1.6, zorder=1)
+        draw_solids(axis, arm, i, 2, facecolor=fill, edgecolor="none", zorder=1.1)  # leaves the outer edge
+        axis.plot(*placed[1:, [i, 2], 3].T, ".-" if row.success else ".:", color=INK, lw=1.2, ms=4, zorder=4)
+    known = {name: (COLOURS[why], 1.0 if name == row.fruit else 0.4) for name, why in crop.reasons.items()}  # others are paler
+    known |= dict.fromkeys(blocking, (BAD, 1.0))
+    colours = [known.get(s.owner, (OBSTACLE, 1.0)) for s in crop.solids]
+    edges = [INK if s.owner == row.fruit else "0.6" if s.owner in crop.reasons else "none" for s in crop.solids]
+    draw_solids(axis, crop.solids, i, 2, facecolor=colours, edgecolor=edges, linewidth=1.0, zorder=2)
+    hit = np.isin(crop.owners, blocking)
+    for mask, colour, dot in ((~hit, LEAF, 3), (hit, BAD, 9)):
+        axis.scatter(*crop.points[mask][:, [i, 2]].T, s=dot, c=colour, lw=0, zorder=3)
+    place = next(f for f in result.scene.marks if f.name == row.fruit).position
+    axis.plot(place[i], place[2], "D", ms=6, color=COLOURS[row.reason], mec=INK, zorder=5)
+    axis.set(xlim=crop.box[:, i], ylim=crop.box[:, 2], aspect="equal")
+    axis.locator_params(nbins=4)
+
+
+def _write_harvest(figure: Figure, result: HarvestResult, shown: int) -> None:
+    """The title above and the legend below, where no plant is."""
+    solved, count = int(np.sum(result.success)), len(result)
+    title = f"{result.robot.name} can pick {solved} of {count} fruits of {result.scene.name}"
+    how = "For each fruit the best posture, from the front (left) and from the side (right), and how far it stays from all else"
+    how += f". The first {shown} are shown." if shown < count else "."
+    fates = {r: "can be picked" if r == Reason.SOLVED else WORDS[r] for r in COLOURS if r in np.ravel(result.reason)}
+    entries = [
+        Patch(fc=ARM, ec=ARM_EDGE, label="the arm, as the volumes that are kept clear"),
+        Line2D([], [], color=INK, marker=".", label="its joints, to the tip"),
+        marker("w", "D", "where this fruit is grasped; others are pale", mec=INK),
+        *(Patch(fc=COLOURS[reason], ec="0.6", label=f"fruit: {words}") for reason, words in fates.items()),
+        *([marker(LEAF, "o", "leaves (points)", ms=4)] if result.scene.counts["points"] else []),
+        Patch(color=OBSTACLE, label="stems and other obstacles"),
+    ]
+    if any(in_the_way(row) for row in result):
+        entries.append(marker(BAD, "o", "what is in this fruit's way", ms=5))
+        entries.append(Patch(fc="w", ec=ARM_EDGE, label="the arm, once that is gone"))
+    write_around(figure, SIDE, ((0.35, title), (0.6, how)), 0.05, entries, 3)
+
+
+PERIOD = 0.02  # [s] between points of a path
+PLACES = {"transport": "s", "home": "^"}  # where these lead to
+VIEWS = (2, "z", "from the robot"), (1, "y", "from above")
+Paths = list[tuple[np.ndarray, bool]]  # each stage's places of the tip in the world (k, 3) [m], and whether it carries a fruit
+
+
+def plot_harvest_plan(plan: HarvestPlan, path: str | Path) -> None:
+    """Draws one picture (PNG) of the row from the robot and from above: how the tip moves, when each fruit is picked. Host."""
+    tips = lambda stage: np.array([frames(plan.robot, q)[-1, :3, 3] for q in stage.trajectory.sample(PERIOD).q])
+    paths = [(tips(stage), stage.carries) for stage in plan.stages]
+    fruits = {fruit.name: fruit.position for fruit in plan.scene.marks}
+    hanging = [s.span for s in scene_solids(plan.scene) if s.owner in fruits]
+    held = np.concatenate([np.array([*fruits.values()]), *(way for way, _ in paths), *hanging])
+    low, high = held.min(axis=0) - 0.08, held.max(axis=0) + 0.08
+    width = 12.0
+    scale = (width - 1.0) / (high[0] - low[0])  # [inches/m]
+    heights = [scale * (high[k] - low[k]) for k, *_ in VIEWS]
+    figure = Figure(figsize=(width, sum(heights) + 3.1))
+    top = sum(heights) + 2.1
+    for (k, name, words), height in zip(VIEWS, heights, strict=True):
+        axis = figure.add_axes(inches(figure, 0.7, top - height, width - 1.0, height))
+        top -= height + 0.45
+        _draw_side(axis, plan, paths, k)
+        axis.set(xlim=(low[0], high[0]), ylim=(low[k], high[k]), aspect="equal", ylabel=f"{name} [m], {words}")
+    axis.set_xlabel("x [m], along the row")
+    _write_plan(figure, plan)
+    figure.savefig(path, dpi=110, format="png")
+
+
+def _draw_side(axis: Any, plan: HarvestPlan, paths: Paths, k: int) -> None:
+    """One view of the row, along x and axis k."""
+    rows, number = {row.fruit: row for row in plan}, {name: i for i, name in enumerate(plan.order, 1)}
+    solids = scene_solids(plan.scene)
+    colours = [COLOURS[rows[s.owner].reason] if s.owner in rows else OBSTACLE for s in solids]
+    alpha = [0.45 if s.owner in rows else 1.0 for s in solids]
+    draw_solids(axis, solids, 0, k, facecolor=colours, edgecolor="none", alpha=alpha, zorder=1)
+    axis.scatter(*scene_points(plan.scene)[0][:, [0, k]].T, s=5, c=LEAF, lw=0, zorder=2)
+    for way, carries in paths:
+        axis.plot(*way[:, [0, k]].T, color=CARRIED if carries else PATH, lw=2.4 if carries else 1.3, zorder=4 if carries else 3)
+    for stage, (way, _) in zip(plan.stages, paths, strict=True):
+        if stage.kind in PLACES:
+            axis.plot(*way[-1, [0, k]], PLACES[stage.kind], ms=9, color=INK, zorder=5)
+    for fruit in (mark for mark in plan.scene.marks if mark.name in rows):
+        words = str(number.get(fruit.name, "✗"))
+        box = {"boxstyle": "circle,pad=0.25", "fc": "w", "ec": COLOURS[rows[fruit.name].reason], "lw": 1.6}
+        looks = {"ha": "center", "va": "center", "fontsize": 10, "weight": "bold", "color": INK}
+        axis.text(*fruit.position[[0, k]], words, bbox=box, zorder=6, **looks)
+
+
+def _write_plan(figure: Figure, plan: HarvestPlan) -> None:
+    """The title above, what is drawn and what is not picked below."""
+    count, there, kinds = len(plan.order), sorted({row.reason for row in plan}), {stage.kind for stage in plan.stages}
+    title = f"{plan.robot.name} picks {count} of {len(plan)} fruits of {plan.scene.name} in {plan.duration:.1f} s"
+    each = f"{plan.cycle:.2f} s a fruit, of motions alone; " if count else ""
+    marks = {"transport": "where fruits are let go", "home": "where it begins and ends"}
+    entries = [
+        Line2D([], [], color=PATH, lw=1.3, label="the tip, empty"),
+        Line2D([], [], color=CARRIED, lw=2.4, label="the tip, with a fruit"),
+        *(Patch(fc=COLOURS[r], alpha=0.45, label=f"fruit: {'picked' if r == Reason.SOLVED else WORDS[r]}") for r in there),
+        *(marker(INK, PLACES[k], words) for k, words in marks.items() if k in kinds),
+        marker(LEAF, "o", "leaves (points)", ms=4),
+        Patch(color=OBSTACLE, label="stems and other obstacles"),
+    ]
+    lines = (0.4, title), (0.68, f"{each}the numbers are their order, ✗ is not picked")
+    write_around(figure, 0.7, lines, 0.35, entries, 4)
+    failed = "; ".join(f"{row.fruit}: {row.why}" for row in plan if not row.stages)
+    write(figure, 0.7, 0.15, failed, fontsize=9)
+
+
+NEAR = 0.25  # of its limit, from which on a torque is drawn beside it
 
 
 def plot_torques(

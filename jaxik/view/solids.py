@@ -106,11 +106,6 @@ def frames(robot: Robot, q: Any) -> np.ndarray:
     return np.array([[float(x) for x in frame.entries] for frame in (root, *found.joints, found.tip)]).reshape(-1, 4, 4)
 
 
-def bones(robot: Robot, q: Any) -> np.ndarray:
-    """Where the joints and the tip are in the world, (n + 1, 3) [m]."""
-    return frames(robot, q)[1:, :3, 3]
-
-
 def _placed(points: np.ndarray, frame: Any) -> np.ndarray:
     """Points (..., k, 3) of a frame (..., 4, 4), in the frame that it is given in."""
     turn, place = np.asarray(frame)[..., :3, :3], np.asarray(frame)[..., None, :3, 3]

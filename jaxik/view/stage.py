@@ -25,7 +25,7 @@ from jaxik.view import palette
 from jaxik.view.drawing import RobotDrawing, SceneDrawing
 from jaxik.view.palette import WORDS, boxed, marked, rgb, swatches
 from jaxik.view.panels import Sliders, UncheckedList
-from jaxik.view.solids import bones, frames, scene_points
+from jaxik.view.solids import frames, scene_points
 
 DRAG = "Drag the arrows and rings at the tip: the robot follows, at first after a few seconds."
 STEER = "Drag the arrows and rings at the tip, or push a game pad's sticks while the tab Steer is open: the arm follows."
@@ -48,7 +48,7 @@ class Latest:
 
 
 class Stage:
-    """What all tabs of a page act on. With `teleop` the tip is steered by the target, not brought there.
+    """The robot, its scene and its target, on which all tabs of a page act. With `teleop` the target steers the tip.
 
     `home` is the robot where it stands, `robot` where a tab has put it; `scene` is what is around it, which a tab may make
     less of. `blind` says why clearance cannot be measured; nothing where it can.
@@ -126,7 +126,7 @@ class Stage:
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=rgb(palette.GOOD))
         gui.set_panel_label(f"jaxik: {title}")
         fruits = np.array([f.position for f in self.around.marks]).reshape(-1, 3)
-        held = np.concatenate([bones(self.robot, self._q), scene_points(self.around)[0], fruits])
+        held = np.concatenate([frames(self.robot, self._q)[1:, :3, 3], scene_points(self.around)[0], fruits])
         low, high = held.min(axis=0), held.max(axis=0)
         centre, away = (low + high) / 2.0, max(0.85 * float(np.linalg.norm(high - low)), 1.3)
         camera = self.server.initial_camera  # far enough to see the robot, and the crop beside it

@@ -117,7 +117,7 @@ INSIDE = {  # what reaches inside, and why there is no public way: it measures a
     ("batch_eval/predictive_benchmark.py", "jaxik.motions.predictive.problem"): "one gradient by itself",
     ("batch_eval/predictive_pictures.py", "jaxik.optimise.descent.Direction"): "the names of all directions",
     ("batch_eval/predictive_pictures.py", "jaxik.optimise.descent.Search"): "the names of all searches",
-    ("batch_eval/predictive_pictures.py", "jaxik.view.solids.bones"): "draws in its own way",
+    ("batch_eval/predictive_pictures.py", "jaxik.view.solids.frames"): "draws in its own way",
     ("batch_eval/predictive_statistics.py", "jaxik.motions.predictive.future"): "the objective of each method",
     ("batch_eval/predictive_statistics.py", "jaxik.motions.predictive.objective"): "the objective of each method",
     ("batch_eval/predictive_statistics.py", "jaxik.optimise.descent.Direction"): "the names of all directions",

@@ -13,7 +13,7 @@ import jaxik
 from jaxik.files.scene import save_scene
 from jaxik.harvesting.blocking_objects import Touched, unblocked
 from jaxik.reasons import Reason
-from jaxik.view.harvest_pictures import fate, in_the_way, posture
+from jaxik.view.pictures import fate, in_the_way, posture
 
 
 @pytest.fixture(scope="module")

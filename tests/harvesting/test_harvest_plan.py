@@ -15,7 +15,7 @@ from jaxik.collision import SceneBuilder
 from jaxik.harvesting import tour
 from jaxik.harvesting.picks import carrying
 from jaxik.reach.grasp import Grasp
-from jaxik.view import Page
+from jaxik.view import Page, plot_harvest, plot_harvest_plan
 
 CRATE = [0.3, -2.0, -0.3, -0.5, 0.0, -0.7, 1.57]
 
@@ -182,6 +182,14 @@ def test_files_hold_all_stages(plan, harvested, tmp_path, monkeypatch):
     written = json.loads((out / "motions.json").read_text())
     assert [each["stage"] for each in written] == [stage.kind for stage in plan.stages]
     assert written[1]["joint_names"] == list(plan.robot.joint_names) and "positions" in written[1]["points"][0]
+
+
+def test_some_of_the_rows_are_drawn(plan, harvested, tmp_path):
+    """The scene has more fruits than these."""
+    for rows in (0, slice(0, 2)):
+        plot_harvest(harvested[rows], tmp_path / "harvest.png")
+        plot_harvest_plan(plan[rows], tmp_path / "motions.png")
+        assert all((tmp_path / f"{name}.png").read_bytes()[:4] == b"\x89PNG" for name in ("harvest", "motions"))
 
 
 def test_the_page_moves_the_fruit_with_the_gripper(plan, harvested):

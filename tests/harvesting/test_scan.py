@@ -172,7 +172,7 @@ def test_gradient_ascent_alone_reaches_the_margin():
 @pytest.mark.parametrize("leading", [0, 2])
 def test_arms_with_other_numbers_of_leading_joints(leading, tmp_path):
     """A fixed arm, and one whose slide stands on a lift; the picture too."""
-    from jaxik.view.harvest_pictures import plot_harvest
+    from jaxik.view.pictures import plot_harvest
 
     if leading == 0:
         robot = ROBOT.part(1, 7).mounted(ROBOT.world_T_base @ _lift(0.45))

@@ -8,10 +8,9 @@ import pytest
 import jaxik
 from jaxik.planning import load_trajectory
 from jaxik.view import Page
-from jaxik.view.hands import FAST, PERIOD, SILENT, TURNING
 from jaxik.view.palette import NEAR_LIMIT, rgb
 from jaxik.view.solids import frames
-from jaxik.view.steering import recorded
+from jaxik.view.steering import FAST, PERIOD, SILENT, TURNING, recorded
 
 
 @pytest.fixture(scope="module")
