@@ -95,7 +95,8 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
                 found[0].order = ordering(flattened(order, f"the order of {name}"), shapes)
             if found is None:
                 return function(*args, **named)  # says what is wrong in its own words, of what was given
-            if key is not None and not found[2]:  # what it closes over may be another array in the next call
+            # what a function of models closes over is theirs; of another it may be another array in the next call
+            if key is not None and not any(isinstance(x, jax.core.Tracer) or not models for x in found[2]):
                 if len(known) >= KEPT:
                     with contextlib.suppress(RuntimeError):  # of another thread that does the same
                         known.pop(next(iter(known)), None)
