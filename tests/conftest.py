@@ -4,10 +4,12 @@ import atexit
 import gc
 import os
 import shutil
+import sys
 import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
+import pytest
 from jaxtyping import install_import_hook
 
 CACHE = "JAX_COMPILATION_CACHE_DIR"  # the processes of one run share what they compile; another run starts anew
@@ -20,32 +22,38 @@ if CACHE not in os.environ:  # a worker's is that of the run, and that of the ru
 # not the arithmetic on scalars, nor the compiler, nor what fits: their types are plain (mypy's), and a trace, or a fit, calls
 # them a hundred thousand times
 CLOSED = ("turns", "positioning", "spherical_wrist", "three_parallel", "arm_angle")
-UNTYPED = ("__init__", "algebra", "convex", "distance", "capsules", "linear", "sqp", "model", *CLOSED)
+UNTYPED = ("__init__", "algebra", "bodies", "distance", "capsules", "linear", "sqp", "model", *CLOSED)
 HOME = Path(find_spec("jaxik").origin).parent
 BASES = (HOME / "options.py", HOME / "results.py")  # beartype knows `Self` only in classes that it decorates whole
 FILES = [p for p in HOME.rglob("*.py") if p.stem not in UNTYPED and "spmd" not in p.parts and p not in BASES]
 TYPED = [".".join(("jaxik", *p.relative_to(HOME).with_suffix("").parts)) for p in FILES]
 
-with install_import_hook(TYPED, "beartype.beartype"):
-    import jaxik  # noqa: F401
 
-import jax  # noqa: E402
-import jaxtyping  # noqa: E402
-import pytest  # noqa: E402
+def pytest_sessionstart(session):
+    """Imports the library, but where a process only hands the tests to others: that would take many seconds."""
+    if session.config.pluginmanager.has_plugin("dsession"):
+        return
+    assert "jaxik" not in sys.modules, "imported before its types are checked: by a conftest.py, at its top?"
+    with install_import_hook(TYPED, "beartype.beartype"):
+        import jaxik  # noqa: F401
 
-from jaxik.spmd import call, primitive  # noqa: E402
+    import jax
 
-jax.config.update("jax_enable_x64", True)
-# most of a run is compiling, and its results are read once: XLA's and LLVM's quick code, which of kernels has the same bits
-jax.config.update("jax_disable_most_optimizations", True)
-call.QUICK = 0
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
-gc.set_threshold(100_000, 50, 100)  # traces make many objects and little garbage
+    from jaxik.spmd import call
+
+    jax.config.update("jax_enable_x64", True)
+    # most of a run is compiling, and its results are read once: XLA's and LLVM's quick code, which of kernels has the same bits
+    jax.config.update("jax_disable_most_optimizations", True)
+    call.QUICK = 0
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+    gc.set_threshold(100_000, 50, 100)  # traces make many objects and little garbage
 
 
 @pytest.fixture
 def optimised():
     """XLA's good code, for what runs long by XLA alone."""
+    import jax
+
     jax.config.update("jax_disable_most_optimizations", False)
     yield
     jax.config.update("jax_disable_most_optimizations", True)
@@ -54,6 +62,8 @@ def optimised():
 @pytest.fixture
 def untyped():
     """The library as a user has it: the tests' own types would be the first to refuse mistakes."""
+    import jaxtyping
+
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)
@@ -62,6 +72,7 @@ def untyped():
 @pytest.fixture
 def only_kernels(monkeypatch):
     """Refuses what goes to XLA after all: it would be compared with itself."""
+    from jaxik.spmd import primitive
 
     def refused(traced, why):
         raise AssertionError(f"{traced.name}: a kernel cannot do {why}")

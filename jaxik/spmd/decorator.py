@@ -90,7 +90,8 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
                 return function(*args, **named)  # says what is wrong in its own words, of what was given
             if order is not None and not moving:
                 found[0].order = ordering(_flattened(order, f"the order of {name}", fixed, moving, tree), shapes)
-            if key is not None and not found[2]:  # what it closes over may be another array in the next call
+            # what a function of models closes over is theirs; of another it may be another array in the next call
+            if key is not None and not any(isinstance(x, jax.core.Tracer) or not models for x in found[2]):
                 known.keep(key, found)
         traced, results, more = found
         if traced.closed.effects:  # what prints or talks to other lanes stands where it is called, or it would be lost

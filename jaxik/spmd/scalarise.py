@@ -272,6 +272,8 @@ class Scalariser:
 
     def map(self, code: str, kind: str, *arrays: Array) -> Array:
         """An operation entry by entry."""
+        if all(x.memory is None and not x.shape for x in arrays):
+            return Array(np.array(self.program.op(code, kind, *(x.at.item() for x in arrays)), np.int64), kind)
         op, many = self.program.op, np.broadcast_arrays(*map(self.values, arrays))
         flat = [op(code, kind, *each) for each in zip(*(m.ravel().tolist() for m in many), strict=True)]
         return Array(np.array(flat, np.int64).reshape(many[0].shape), kind)

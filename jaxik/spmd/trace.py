@@ -186,52 +186,71 @@ def _along(way: Callable[..., Any], avals: Sequence[Any], inputs: Sequence[Any])
 
 def digest(closed: ClosedJaxpr) -> str:
     """A hash of what the jaxpr computes: operations, shapes, numbers; not of its names or of how it is differentiated."""
-    content = hashlib.sha256()
-    _value(closed, content)
-    return content.hexdigest()[:32]
+    return _Digest().of(closed).hex()[:32]
 
 
-def _jaxpr(jaxpr: Jaxpr, content: Any) -> None:
-    numbers: dict[Any, int] = {}
-    number = lambda v: numbers.setdefault(v, len(numbers))
-    v: Any
-    for v in (*jaxpr.constvars, *jaxpr.invars):
-        content.update(f"{number(v)}:{v.aval.str_short()};".encode())
-    for eqn in jaxpr.eqns:
-        content.update(f"|{eqn.primitive.name}(".encode())
-        for v in eqn.invars:
-            _value(v.val, content, v.aval) if isinstance(v, Literal) else content.update(f"{number(v)},".encode())
-        for key, value in sorted(eqn.params.items()):
-            if key not in _FUNCTIONS:
-                content.update(f"{key}=".encode())
-                _value(value, content)
-        content.update(b")")
-        for v in eqn.outvars:
-            content.update(f"{number(v)}:{v.aval.str_short()},".encode())
-    for v in jaxpr.outvars:
-        _value(v.val, content, v.aval) if isinstance(v, Literal) else content.update(f">{number(v)}".encode())
+class _Digest:
+    """The hash of a jaxpr, and of those inside it, of which many are one and the same."""
 
+    def __init__(self) -> None:
+        self.known: dict[int, bytes] = {}  # of the jaxprs by id: the outermost keeps them all
+        self.kind = functools.cache(lambda aval: aval.str_short().encode())
+        self.name = functools.cache(lambda dtype: f"{dtype}".encode())
 
-def _value(value: Any, content: Any, aval: Any = None) -> None:
-    if isinstance(value, ClosedJaxpr):
-        _jaxpr(value.jaxpr, content)
-        for c in value.consts:
-            _value(c, content)
-    elif isinstance(value, Jaxpr):
-        _jaxpr(value, content)
-    elif isinstance(value, np.ndarray | np.generic | jax.Array) or (aval is not None and isinstance(value, int | float | bool)):
-        array = np.ascontiguousarray(np.asarray(value, None if aval is None else aval.dtype))
-        content.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
-    elif isinstance(value, tuple | list):
-        content.update(f"{type(value).__name__}[".encode())
-        for each in value:
-            _value(each, content)
-        content.update(b"]")
-    elif isinstance(value, dict):
-        for key in sorted(value, key=str):
-            content.update(f"{key}:".encode())
-            _value(value[key], content)
-    else:
-        text = f"{type(value).__name__}.{value.name}" if isinstance(value, enum.Enum) else repr(value)
-        # what has an address in its name is itself and nothing else
-        content.update((uuid.uuid4().hex if " at 0x" in text else text + ";").encode())
+    def of(self, closed: ClosedJaxpr) -> bytes:
+        content = hashlib.sha256(self.jaxpr(closed.jaxpr))
+        for c in closed.consts:
+            self.value(c, content)
+        return content.digest()
+
+    def jaxpr(self, jaxpr: Jaxpr) -> bytes:
+        known = self.known.get(id(jaxpr))
+        if known is None:
+            content = hashlib.sha256()
+            self.equations(jaxpr, content)
+            known = self.known[id(jaxpr)] = content.digest()
+        return known
+
+    def equations(self, jaxpr: Jaxpr, content: Any) -> None:
+        numbers: dict[Any, int] = {}
+        number = lambda v: b"%d" % numbers.setdefault(v, len(numbers))
+        v: Any
+        for v in (*jaxpr.constvars, *jaxpr.invars):
+            content.update(b"%b:%b;" % (number(v), self.kind(v.aval)))
+        for eqn in jaxpr.eqns:
+            content.update(b"|%b(" % eqn.primitive.name.encode())
+            for v in eqn.invars:
+                self.value(v.val, content, v.aval) if isinstance(v, Literal) else content.update(b"%b," % number(v))
+            for key, value in sorted(eqn.params.items()):
+                if key not in _FUNCTIONS:
+                    content.update(b"%b=" % key.encode())
+                    self.value(value, content)
+            content.update(b")")
+            for v in eqn.outvars:
+                content.update(b"%b:%b," % (number(v), self.kind(v.aval)))
+        for v in jaxpr.outvars:
+            self.value(v.val, content, v.aval) if isinstance(v, Literal) else content.update(b">%b" % number(v))
+
+    def value(self, value: Any, content: Any, aval: Any = None) -> None:
+        if isinstance(value, ClosedJaxpr):
+            content.update(self.of(value))
+        elif isinstance(value, Jaxpr):
+            content.update(self.jaxpr(value))
+        elif isinstance(value, np.ndarray | np.generic | jax.Array) or (
+            aval is not None and isinstance(value, int | float | bool)
+        ):
+            array = np.ascontiguousarray(np.asarray(value, None if aval is None else aval.dtype))
+            content.update(b"%b%b" % (self.name(array.dtype), str(array.shape).encode()) + array.tobytes())
+        elif isinstance(value, tuple | list):
+            content.update(f"{type(value).__name__}[".encode())
+            for each in value:
+                self.value(each, content)
+            content.update(b"]")
+        elif isinstance(value, dict):
+            for key in sorted(value, key=str):
+                content.update(f"{key}:".encode())
+                self.value(value[key], content)
+        else:
+            text = f"{type(value).__name__}.{value.name}" if isinstance(value, enum.Enum) else repr(value)
+            # what has an address in its name is itself and nothing else
+            content.update((uuid.uuid4().hex if " at 0x" in text else text + ";").encode())

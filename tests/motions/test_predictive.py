@@ -116,7 +116,8 @@ def test_a_curve_turns_as_far_as_it_is_asked(degrees):
     """Through each pose, and nowhere back."""
     given = turned(*degrees)
     path, sign = Curve(given), np.sign(degrees[1])
-    through = np.asarray([jax.jit(path.pose)(s)[1] for s in path.knots])
+    pose = jax.jit(path.pose)
+    through = np.asarray([pose(s)[1] for s in path.knots])
     np.testing.assert_allclose(through, given[:, :3, :3], atol=1e-12)
     turns = [pin.log3(np.asarray(p)[:3, :3])[2] for p in path.at(np.linspace(0.0, 3.0, 100), 3.0).pose]
     along = np.degrees(np.unwrap(turns))

@@ -1,9 +1,6 @@
 """A flat arm of three joints, the last endless, among poles; and coal, which judges it."""
 
 import pytest
-from peers.collision_peers import Coal
-
-import jaxik
 
 LINK = """<link name="{0}"><collision><origin xyz="0.1 0 0"/><geometry><sphere radius="0.04"/></geometry></collision>
   <collision><origin xyz="0.25 0 0"/><geometry><sphere radius="0.04"/></geometry></collision></link>"""
@@ -25,6 +22,10 @@ URDF = "\n".join(
 
 @pytest.fixture(scope="package")
 def arm(tmp_path_factory):
+    from peers.collision_peers import Coal
+
+    import jaxik
+
     file = tmp_path_factory.mktemp("flat") / "flat.urdf"
     file.write_text(URDF)
     return jaxik.load(file, tip="tip"), Coal(jaxik.load(file, tip="tip"), file, None)

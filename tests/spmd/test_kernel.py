@@ -231,6 +231,23 @@ print(*values, len(made))
 """
 
 
+def test_a_model_s_large_arrays_are_traced_once():
+    """They are operands, but no other model's; another model has its own."""
+    traced, tables = [], {2: np.arange(1000.0), 3: np.arange(1000.0) ** 2}
+
+    @spmd.kernel(models=1)
+    def read(model, i):
+        traced.append(model)
+        return jnp.asarray(tables[model])[i]
+
+    for _ in range(2):
+        assert read(2, jnp.int64(5)) == 5.0 and read(3, jnp.int64(5)) == 25.0
+        np.testing.assert_array_equal(jax.jit(jax.vmap(lambda i: read(3, i)))(jnp.arange(4)), [0.0, 1.0, 4.0, 9.0])
+    assert traced == [2, 3]
+    of_traced = jax.jit(lambda table, i: spmd.kernel(lambda model, i: model * table[i], models=1)(2, i))
+    assert of_traced(tables[2], 7) == 14.0 and of_traced(tables[3], 7) == 98.0
+
+
 def test_a_second_process_compiles_nothing(tmp_path):
     environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(tmp_path)}
     run = lambda: subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True)
