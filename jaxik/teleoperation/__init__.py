@@ -1,6 +1,6 @@
 """Steering a robot by hand: devices, mappings, passivity over a delayed channel, and the force that the hand feels."""
 
-from jaxik.teleoperation.hand import Device, GamePad, Hand, Keyboard, PositionControl, RateControl, Watchdog
+from jaxik.teleoperation.hand import Device, GamePad, Hand, Keyboard, PositionControl, RateControl, RecordedHand, Watchdog
 from jaxik.teleoperation.passivity import DelayLine, PassivityController, WaveVariables
 from jaxik.teleoperation.reflection import reflect
 from jaxik.teleoperation.teleoperation import Teleoperation, TeleoperationCommand
@@ -15,6 +15,7 @@ __all__ = [
     "PassivityController",
     "PositionControl",
     "RateControl",
+    "RecordedHand",
     "Teleoperation",
     "TeleoperationCommand",
     "TeleoperationResult",

@@ -28,7 +28,7 @@ import select
 import struct
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -111,6 +111,16 @@ class _Silent:
 
     def close(self) -> None:
         """Lets the device go."""
+
+
+class RecordedHand(_Silent):
+    """Hands one after the other, then silence: a loop's trial without a device. None is a moment without anything new."""
+
+    def __init__(self, hands: Iterable[Hand | None]):
+        self._hands = iter(hands)
+
+    def read(self) -> Hand | None:
+        return next(self._hands, None)
 
 
 class GamePad(_Silent):

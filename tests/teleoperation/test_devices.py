@@ -6,19 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from jaxik.teleoperation import GamePad, Hand, Keyboard, Watchdog
-
-
-class Recorded:
-    """Hands one after another, as a device; None is a moment of silence."""
-
-    def __init__(self, *hands):
-        self._hands = iter(hands)
-
-    def read(self):
-        return next(self._hands, None)
-
-    def render(self, force): ...
+from jaxik.teleoperation import GamePad, Hand, Keyboard, RecordedHand, Watchdog
 
 
 def event(value, kind, number):
@@ -63,7 +51,7 @@ def test_a_keyboard_goes_in_steps():
 
 def test_a_watch_tells_how_long_nothing_was_said():
     hand, now = Hand(np.ones(3)), [5.0]
-    watch = Watchdog(Recorded(None, hand, None, hand), clock=lambda: now[0])
+    watch = Watchdog(RecordedHand([None, hand, None, hand]), clock=lambda: now[0])
     assert watch.read().age == np.inf
     assert (watch.read().position == 1.0).all()
     now[0] = 5.4
