@@ -179,9 +179,8 @@ def _families(part: Robot, first: int) -> Iterator[Family | str]:
 
 @functools.lru_cache(maxsize=64)
 def _found(robot: Robot) -> tuple[Solver | None, str]:
-    """Returns the robot's cheapest closed form; or why it has none, with what finds all postures of the last six neighbouring
-    revolute joints, if there are such."""
-    best, general = None, None  # type: Solver | None, Solver | None
+    """Returns the robot's cheapest closed form, or why it has none."""
+    best: Solver | None = None
     reasons: list[str] = []
     for size in (7, 6):
         for first in range(robot.num_joints - size, -1, -1):
@@ -194,7 +193,6 @@ def _found(robot: Robot) -> tuple[Solver | None, str]:
             else:
                 families = list(_families(part, first))
                 why = "; ".join(reason for reason in families if isinstance(reason, str))
-                general = general or (Solver(robot, first, AnySix(part), 0.0) if size == 6 else None)
             if size == 6:
                 reasons.append(f"of joints {first + 1} to {first + size}: {why}")
             for family in families:
@@ -204,7 +202,7 @@ def _found(robot: Robot) -> tuple[Solver | None, str]:
         return best, ""
     if robot.num_joints < 6:
         return None, f"it has {robot.num_joints} joints, and six revolute ones are needed"
-    return general, f"no six neighbouring joints are of a family ({TOLERANCE:g} allowed): " + ". ".join(reasons)
+    return None, f"no six neighbouring joints are of a family ({TOLERANCE:g} allowed): " + ". ".join(reasons)
 
 
 def closed_form_obstacle(robot: Robot) -> str:
@@ -244,8 +242,18 @@ def solver_of(robot: Robot) -> Solver:
 def any_solver_of(robot: Robot) -> Solver:
     """Returns the robot's closed form, or else what finds all postures of the last six neighbouring revolute joints. Raises
     `ValueError` with the reason where there are no such joints."""
-    solver = _found(robot)[0] if robot.concrete else None
-    return solver or solver_of(robot)
+    if robot.concrete and closed_form_obstacle(robot) and (solver := _without_family(robot)):
+        return solver
+    return solver_of(robot)
+
+
+@functools.lru_cache(maxsize=64)
+def _without_family(robot: Robot) -> Solver | None:
+    for first in range(robot.num_joints - 6, -1, -1):
+        part = robot.part(first, first + 6)
+        if not any(part.is_prismatic) and Axes.of(part).spanning:
+            return Solver(robot, first, AnySix(part), 0.0)
+    return None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -289,7 +297,8 @@ def redundancy(robot: Robot) -> Redundancy:
 
 @functools.lru_cache(maxsize=64)
 def _redundancy(robot: Robot) -> Redundancy:
-    solver, why = _found(robot)
+    why = closed_form_obstacle(robot)
+    solver = _without_family(robot) if why else solver_of(robot)
     if solver is None:
         return Redundancy(robot, "", (), np.zeros(0), np.zeros(0), why)
     lower, upper = read_only(solver.limits())
