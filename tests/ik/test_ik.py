@@ -16,7 +16,7 @@ from robots import ROBOTS, bare, joint_range, pinocchio, pose_errors
 
 import jaxik
 from jaxik import Reason
-from jaxik.ik import sqp_programs
+from jaxik.ik import seeds, sqp_programs
 from jaxik.kinematics import turns
 from jaxik.kinematics.shapes import Volume
 from jaxik.spmd import call as kernels
@@ -783,3 +783,17 @@ def test_a_given_joint_may_be_locked(panda):
     q[:, -1] = value
     result = jaxik.solve_ik(panda, np.stack([pinocchio(panda)(row) for row in q]), locked={name: value})
     assert result.success.all() and np.all(result.q[:, -1] == value) and not result.iterations.any()
+
+
+def test_seeds_near_a_posture_stay_in_a_box_about_it():
+    """A tenth of the range wide at first, and all of it from number 32 on; the first is the posture itself."""
+    inside, posture = seeds.Range((-0.2, 1.0), (0.6, 5.0)), np.array([[0.2, 3.0]])
+    half = np.array([0.4, 2.0])
+    begun = seeds.near(inside, 0, 0, 40, posture)[0]
+    np.testing.assert_array_equal(begun[0], posture[0])
+    share = np.abs(begun - posture[0]) / half
+    width = np.minimum(1.0, 0.1 * 10.0 ** (np.arange(40) / 32.0))
+    assert np.all(share[1:] <= width[1:, None] + 1e-12)
+    many = np.concatenate([seeds.near(inside, k, 32, 64, posture)[0] for k in range(20)])
+    np.testing.assert_allclose(many.mean(axis=0), posture[0], atol=0.1 * half.max())
+    assert np.all(np.ptp(many, axis=0) > 1.9 * half)
