@@ -6,7 +6,6 @@ import functools
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 
 from jaxik.files.targets import as_frames
@@ -99,6 +98,8 @@ class Cloud:
 
     def _colours(self, shown: Map, inside: np.ndarray, index: tuple[int, ...]) -> tuple[np.ndarray, str]:
         """A colour for each position, and the legend that explains them."""
+        import matplotlib
+
         what = self.colour.value
         if what == KINDS:
             found, kinds = categories(shown)

@@ -6,8 +6,6 @@ without red or green cones; a test simulates both. Yes or no and reasons have th
 
 from __future__ import annotations
 
-import matplotlib
-
 from jaxik.reasons import Reason
 
 _LOOKS = {  # nearest to an answer first
@@ -47,6 +45,8 @@ def swatches(entries: dict[str, str]) -> str:
 
 def bar(words: str, low: float, high: float) -> str:
     """The scale as HTML: a bar from the least to the largest number."""
+    import matplotlib
+
     stops = ",".join(matplotlib.colors.to_hex(matplotlib.colormaps[SCALE](x)) for x in (0.0, 0.25, 0.5, 0.75, 1.0))
     ends = f"<div style='display:flex;justify-content:space-between'><span>{low:.3g}</span><span>{high:.3g}</span></div>"
     return f"{words}<div style='height:0.8em;background:linear-gradient(90deg,{stops})'></div>{ends}"

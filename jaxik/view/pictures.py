@@ -8,10 +8,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.collections import PolyCollection
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from jaxik.harvesting.driver import HarvestResult
 from jaxik.harvesting.harvest_plan import HarvestPlan
@@ -27,15 +23,19 @@ SIDE, GAP, TITLE, HEAD, FOOT = 0.6, 0.12, 0.3, 0.8, 1.25  # [inches]
 
 def draw_solids(axis: Any, solids: Iterable[Solid], i: int, j: int, **looks: Any) -> None:
     """Fills the outlines of solids, as seen along the third axis; `looks` are those of a `PolyCollection`."""
+    from matplotlib.collections import PolyCollection
+
     axis.add_collection(PolyCollection([solid.outline(i, j) for solid in solids], **looks))
 
 
-def marker(colour: str, shape: str, label: str, **looks: Any) -> Line2D:
+def marker(colour: str, shape: str, label: str, **looks: Any) -> Any:
     """A legend's entry of a marker without a line."""
+    from matplotlib.lines import Line2D
+
     return Line2D([], [], color=colour, marker=shape, lw=0, label=label, **looks)
 
 
-def inches(figure: Figure, *lengths: float) -> Any:
+def inches(figure: Any, *lengths: float) -> Any:
     """Lengths across and up in turn [inches], as fractions of a figure's."""
     return tuple(length / figure.get_size_inches()[k % 2] for k, length in enumerate(lengths))
 
@@ -46,7 +46,7 @@ def write(figure: Any, left: float, low: float, words: str, **looks: Any) -> Non
 
 
 def write_around(
-    figure: Figure, left: float, lines: Sequence[tuple[float, str]], low: float, entries: Sequence[Any], columns: int
+    figure: Any, left: float, lines: Sequence[tuple[float, str]], low: float, entries: Sequence[Any], columns: int
 ) -> None:
     """Writes a title and a line below it, each so far from the top, and a legend so far from the bottom [inches]."""
     height = figure.get_size_inches()[1]
@@ -69,6 +69,8 @@ class _Crop(NamedTuple):
 
 def plot_harvest(result: HarvestResult, path: str | Path) -> None:
     """Draws one picture (PNG) with two views for every fruit: the robot at its posture, or what is in the way. Host."""
+    from matplotlib.figure import Figure
+
     crop, rows = _crop(result), list(result[:MOST])
     columns = min(COLUMNS, len(rows))
     width, depth, height = crop.box[1] - crop.box[0]
@@ -155,8 +157,11 @@ def _draw(axis: Any, result: HarvestResult, crop: _Crop, row: HarvestResult, i: 
     axis.locator_params(nbins=4)
 
 
-def _write_harvest(figure: Figure, result: HarvestResult, shown: int) -> None:
+def _write_harvest(figure: Any, result: HarvestResult, shown: int) -> None:
     """The title above and the legend below, where no plant is."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
     solved, count = int(np.sum(result.success)), len(result)
     title = f"{result.robot.name} can pick {solved} of {count} fruits of {result.scene.name}"
     how = "For each fruit the best posture, from the front (left) and from the side (right), and how far it stays from all else"
@@ -184,6 +189,8 @@ Paths = list[tuple[np.ndarray, bool]]  # each stage's places of the tip in the w
 
 def plot_harvest_plan(plan: HarvestPlan, path: str | Path) -> None:
     """Draws one picture (PNG) of the row from the robot and from above: how the tip moves, when each fruit is picked. Host."""
+    from matplotlib.figure import Figure
+
     tips = lambda stage: np.array([frames(plan.robot, q)[-1, :3, 3] for q in stage.trajectory.sample(PERIOD).q])
     paths = [(tips(stage), stage.carries) for stage in plan.stages]
     fruits = {fruit.name: fruit.position for fruit in plan.scene.marks}
@@ -225,8 +232,11 @@ def _draw_side(axis: Any, plan: HarvestPlan, paths: Paths, k: int) -> None:
         axis.text(*fruit.position[[0, k]], words, bbox=box, zorder=6, **looks)
 
 
-def _write_plan(figure: Figure, plan: HarvestPlan) -> None:
+def _write_plan(figure: Any, plan: HarvestPlan) -> None:
     """The title above, what is drawn and what is not picked below."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
     count, there, kinds = len(plan.order), sorted({row.reason for row in plan}), {stage.kind for stage in plan.stages}
     title = f"{plan.robot.name} picks {count} of {len(plan)} fruits of {plan.scene.name} in {plan.duration:.1f} s"
     each = f"{plan.cycle:.2f} s a fruit, of motions alone; " if count else ""
@@ -253,6 +263,8 @@ def plot_torques(
 ) -> None:
     """Draws a row a joint: its torque (i, n) [Nm, N] over `time` (i,) [s], what would hold the arm at rest there (i, n), and
     its limit `robot.effort`, as a line where it is near. Host."""
+    from matplotlib.figure import Figure
+
     n = robot.num_joints
     figure = Figure(figsize=(8.0, 0.6 + 1.1 * n), layout="constrained")
     axes = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]

@@ -7,9 +7,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.colors import BoundaryNorm, ListedColormap
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from jaxik.checks.options import optional
 from jaxik.collision.scene import Scene
@@ -90,6 +87,8 @@ def variant_map(group: Any, index: tuple[int, ...]) -> Map:
 def plot_sweep(store: str | Path, path: str | Path, *, scene: Scene | None = None) -> None:
     """Draws one picture (PNG) of a sweep's `store`: slices of the variant that reaches most, with the study's `scene`; what
     became of its targets, what was missed, and the variants beside each other. Host."""
+    from matplotlib.figure import Figure
+
     group = open_store(store)
     every = shares(group)
     best = tuple(int(i) for i in np.unravel_index(np.argmax(every), every.shape))
@@ -134,6 +133,9 @@ def categories(shown: Map) -> tuple[np.ndarray, list[tuple[str, str]]]:
 
 def _draw_slices(figure: Any, group: Any, shown: Map, index: tuple[int, ...], scene: Scene | None) -> list[Any]:
     """Level slices of a grid, or the positions from three sides, with the base and obstacles; returns the legend's entries."""
+    from matplotlib.colors import BoundaryNorm, ListedColormap
+    from matplotlib.patches import Patch
+
     kind, kinds = categories(shown)
     edges = np.arange(len(kinds) + 1) - 0.5
     colours = {"cmap": ListedColormap([c for _, c in kinds]), "norm": BoundaryNorm(edges, len(kinds))}

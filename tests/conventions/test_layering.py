@@ -161,6 +161,8 @@ from jax._src import xla_bridge
 assert dict(jax.config.values) == before and not xla_bridge._backends, "configuration changed or device asked"
 for late in ("equinox", "matplotlib", "mujoco", "optax", "rich", "scipy", "trimesh", "tyro", "xarray", "zarr"):
     assert late not in sys.modules, late
+import jaxik.view
+assert "matplotlib" not in sys.modules, "a page needs it once a map is coloured, not to open"
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
