@@ -220,8 +220,9 @@ class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
         q, contact, broken = _sound(self.robot, state.q, as_configuration(self.robot, q).astype(state.q.dtype), contact)
         held = asked.held | broken
         felt = jnp.zeros(3) if contact is None else self._world() @ reflect(self.robot, q, contact, felt=self.felt)
-        arm, wanted, turn = self._at_arm(state, asked, felt, held)
-        rate, target, apart, moved = kernel(self._resolved)(state.rate, state.target, q, wanted, turn, held)
+        ends = held | (state.led & ~asked.leads)  # the clutch ends the way that is not made up for yet, too
+        arm, wanted, turn = self._at_arm(state, asked, felt, held, ends)
+        rate, target, apart, moved = kernel(self._resolved)(state.rate, state.target, q, wanted, turn, held, ends)
         share = self._channel.share(arm, felt, moved, self.dt)
         rate, moved = share * rate, share * moved
         arm, packet = self._channel.reply(arm, felt, wanted, moved, self.dt)
@@ -245,16 +246,15 @@ class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
         felt = jnp.where(active, force, 0.0)  # a hand that does not move the arm would be moved for nothing
         return mapped, end, Asked(packet, turn, ~well, active), felt, velocity
 
-    def _at_arm(self, state: TeleoperationState, asked: Asked, felt: Any, held: Any) -> tuple[End, Any, Any]:
+    def _at_arm(self, state: TeleoperationState, asked: Asked, felt: Any, held: Any, ends: Any) -> tuple[End, Any, Any]:
         """Returns the arm's end, and the velocity and the turn of the tip that are asked for, in world axes."""
         slow = getattr(self.mapping, "smoothing", 0.0), self.mapping.fastest
         end, velocity = self._channel.arm(state.arm, asked.packet, felt, self.dt, *slow)
-        dropped = held | (state.led & ~asked.leads)  # the clutch ends the way that is not made up for yet, too
         let_go = self._channel.release(state.arm, asked.packet)
-        end = jax.tree_util.tree_map(lambda x, y: jnp.where(dropped, x, y), let_go, end)
-        return end, jnp.where(dropped, 0.0, velocity), jnp.where(held, 0.0, asked.turn)
+        end = jax.tree_util.tree_map(lambda x, y: jnp.where(ends, x, y), let_go, end)
+        return end, jnp.where(ends, 0.0, velocity), jnp.where(held, 0.0, asked.turn)
 
-    def _resolved(self, before: Any, target: Any, q: Any, velocity: Any, turn: Any, held: Any) -> tuple[Any, ...]:
+    def _resolved(self, before: Any, target: Any, q: Any, velocity: Any, turn: Any, held: Any, ends: Any) -> tuple[Any, ...]:
         """Returns the joints' rates, after those `before`, the target after them, the clearance, and the velocity of the
         tip."""
         dt, tip = self.dt, forward_kinematics(self.robot, q)
@@ -271,7 +271,7 @@ class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
         turned = rotation_exp(dt * twist[3:]) @ target[:3, :3]
         place = target[:3, 3] + dt * twist[:3]
         moved = jnp.concatenate([jnp.concatenate([turned, place[:, None]], axis=1), target[3:]])
-        return rate, jnp.where(held, tip, moved), apart, self._world() @ (jacobian(self.robot, q)[:3] @ rate)
+        return rate, jnp.where(ends, tip, moved), apart, self._world() @ (jacobian(self.robot, q)[:3] @ rate)
 
     def _clear(self, q: Any, u: Any, or_held: Any, rates: Any, box: Box) -> tuple[Any, Any]:
         """Returns the rates that keep the clearance, and the clearance. An arm that is held slows down, and gives way to

@@ -393,6 +393,22 @@ def test_the_clutch_stops_the_arm(channel):
     assert speed[150:200].min() > 0.08 and speed[300:].max() < 1e-3
 
 
+def test_the_clutch_ends_what_is_out_of_reach():
+    """A target that a stretched arm cannot reach would shake it until the hand comes back."""
+    robot, q = jaxik.load("p6r"), np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1])
+    loop = ControlLoop(Teleoperation(robot, collision=False, dt=1.0 / 60.0, gain=10.0, acceleration=10.0, leash=0.1))
+    state, tips, targets = loop.start(q), [], []
+    for k in range(400):
+        hand = Hand(np.array([-k / 120.0, 0.0, 0.0]), np.zeros(3), np.array([float(k >= 250)]))
+        state, command = loop.step(state, q, hand)
+        q = q + command.rate / 60.0
+        tips.append(np.asarray(jaxik.forward_kinematics(robot, q))[:3, 3])
+        targets.append(state.target[:3, 3])
+    apart = np.linalg.norm(np.subtract(targets, tips), axis=1)
+    assert apart[249] > 0.08 and apart[-1] < 1e-3
+    assert np.ptp(tips[-60:], axis=0).max() < 1e-5
+
+
 def test_a_loop_is_the_step():
     """The loop is a kernel, in NumPy; with a contact, a turn and the clutch."""
     setup = Teleoperation(
