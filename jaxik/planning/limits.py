@@ -61,11 +61,11 @@ def limit_of(who: str, name: str, given: Any, shape: tuple[int, ...]) -> np.ndar
     Raises `ValueError`, `who` asking, for numbers that are not above zero, and for more of them or fewer.
     """
     limit = numbers(f"{who}: {name}", given)
-    allowed = [shape[i:] for i in reversed(range(len(shape) + 1))]
-    if limit.shape not in allowed or not (limit > 0.0).all():
+    if limit.shape != shape[len(shape) - limit.ndim :] or not (limit > 0.0).all():
+        allowed = [shape[i:] for i in reversed(range(len(shape) + 1))]
         held, every = (f" of shape {limit.shape}" if limit.ndim else ""), " or ".join(["one number", *map(str, allowed[1:])])
         raise ValueError(f"{who}: {name}{held} is {shown(given)}; allowed: {every}, above zero {UNITS[name]}")
-    return np.broadcast_to(limit, shape)
+    return limit if limit.shape == shape else np.broadcast_to(limit, shape)
 
 
 def usual(who: str, robot: Robot | None, velocity: Any, acceleration: Any, driven: bool = False) -> tuple[Any, Any]:

@@ -206,6 +206,9 @@ def _timed(robot: Robot, paths: list[JointPath], limits: Limits, places: int) ->
     pieces = np.array([len(path.lengths) for path in paths], int)
     for size in np.unique(pieces):
         rows = np.flatnonzero(pieces == size)
+        if len(rows) == 1:  # it need not be stacked
+            timed[rows[0]] = time_path(paths[rows[0]], **limits._asdict(), places=places, robot=robot)
+            continue
         stack = jax.tree_util.tree_map(lambda *x: np.stack(x), *(paths[i] for i in rows))
         together = time_path(stack, **limits._asdict(), places=places, robot=robot)
         for k, i in enumerate(rows.tolist()):

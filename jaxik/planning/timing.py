@@ -133,6 +133,8 @@ def _pieces(path: JointPath) -> tuple[Any, bool]:
 
 def _drives(robot: Robot | None, torque: Any, power: Any, gravity: Any) -> Drives | None:
     """The robot's drives, or None where nothing limits them. Raises `ValueError` for their limits without a robot."""
+    if torque is None and power is None and gravity is GRAVITY:
+        return None
     if robot is None:
         if not (torque is None and power is None):
             raise ValueError("time_path: torque and power are of a robot; write robot=")
