@@ -161,7 +161,7 @@ def optimum() -> dict[str, Any]:
     solve = jax.jit(lambda w: ilqr.solve(control, (jnp.asarray(pendulum.START), jnp.zeros(4)), w, ahead).run.total)
     second = float(solve(jnp.asarray(guess)))
     print("ilqr", second, flush=True)
-    reference = boundary_value(arm, path, 4.0, pendulum.START, cost, fine, guess=quasi)
+    reference = boundary_value(arm, path, 4.0, pendulum.START, cost, fine, guess=quasi, max_nodes=20000, timeout=600.0)
     totals = {
         "quasi_newton": float(quasi.total),
         "conjugate_gradients": float(conjugate.total),

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import time
 from typing import Any, NamedTuple
 
 import jax
@@ -57,34 +58,74 @@ def boundary_value(
     guess: Any = None,
     tolerance: float = 1e-6,
     nodes: int = 20,
-    max_nodes: int = 20000,
+    max_nodes: int = 1000,
+    timeout: float = 60.0,
 ) -> Boundary:
     """Solves it over the horizon from q (n,), beginning with `guess`, a `PredictResult`, or, on `nodes` equal steps, with the
-    instantaneous motion's q, and u = lambda = 0. The arguments are those of `jaxik.predict`.
+    instantaneous motion's q, and u = lambda = 0: with that down the cost's gradient (fig. 5.1), and where that leads to no
+    solution, with that without an input. The arguments are those of `jaxik.predict`.
 
-    Beyond the joints' limits, or off its path, the motion is no success. Raises `ValueError` for a q or a guess of another
-    shape, a q that is no number, a duration that is not positive, and a path that `Path.at` refuses.
+    Where neither leads to one by `max_nodes` and `timeout` [s], what is returned is the motion that was begun with. Beyond the
+    joints' limits, or off its path, a motion is no success. Raises `ValueError` for a q or a guess of another shape, a q that
+    is no number, a duration that is not positive, and a path that `Path.at` refuses.
     """
-    from scipy.integrate import simpson, solve_bvp
+    from scipy.integrate import simpson
 
     with jax.enable_x64(True):
         path.at(0.0, duration)  # refuses what is no path, and a duration that is not positive
         system, world = _System(robot, cost, horizon), (path, float(duration))
         n, start = robot.num_joints, _start(robot, q, guess)
-        time, first = _first(system, world, start, nodes, guess)
+        begin = _first(system, world, start, nodes, guess)
         free = np.linalg.svd(np.asarray(system.freedom(world, start)).T)[0]  # first the motions that leave the tip in place
         basis = free[:, : n - sum(horizon.task.bound)]
         rates = lambda t, y: np.asarray(_padded(functools.partial(system.rates, world), t, y))[:, : len(t)]
         ends = lambda a, b: np.asarray(system.ends(world, a, b, start, basis))
-        found = solve_bvp(rates, ends, time, first, tol=tolerance, max_nodes=max_nodes)
+        found = _collocated(rates, ends, begin, tolerance, max_nodes, timeout)
         each = _padded(functools.partial(system.judged, world), found.x, found.y)
         w, costs, left, rate, error = (np.asarray(x)[: len(found.x)] for x in each)
         y, adjoint = np.split(found.y.T, 2, axis=1)
-        total, residual = float(simpson(costs, x=found.x)), float(np.max(found.rms_residuals))
+        total = float(simpson(costs, x=found.x))
         reason = _judged(robot, horizon, y[:, :n], rate, error, costs)
         reason, message = _verdict(found, reason, bool((left <= STATIONARY).all()))
         u, solved = y[:, n:] if system.rate_level else w, reason == Reason.SOLVED
-        return Boundary(found.x, y[:, :n], u, adjoint, w, costs, total, solved, message, residual, reason)
+        return Boundary(found.x, y[:, :n], u, adjoint, w, costs, total, solved, message, found.residual, reason)
+
+
+class _Found(NamedTuple):
+    """A solution at its nodes: x (k,), y (., k), whether it is one, the solver's words, and its largest residual."""
+
+    x: np.ndarray
+    y: np.ndarray
+    success: bool
+    message: str
+    residual: float
+
+
+def _collocated(rates: Any, ends: Any, begin: list[Any], tolerance: float, max_nodes: int, timeout: float) -> _Found:
+    """SciPy's solution from the first of the beginnings that leads to one, or else the first beginning that is finite."""
+    from scipy.integrate import solve_bvp
+
+    until, why = time.monotonic() + timeout, "The beginning is no number."
+
+    def in_time(t: Any, y: Any) -> Any:
+        if time.monotonic() > until:
+            raise TimeoutError(f"No solution within {timeout:g} s.")
+        return rates(t, y)
+
+    for x, y in begin:
+        if not np.isfinite(y).all():
+            continue
+        try:
+            with np.errstate(all="ignore"):  # a diverging mesh is told by `success`
+                found = solve_bvp(in_time, ends, x, y, tol=tolerance, max_nodes=max_nodes)
+        except TimeoutError as error:
+            why = str(error)
+            break
+        if found.success and np.isfinite(found.y).all():
+            return _Found(found.x, found.y, True, found.message, float(np.max(found.rms_residuals)))
+        why = found.message
+    x, y = next((both for both in begin if np.isfinite(both[1]).all()), begin[-1])
+    return _Found(x, y, False, why, np.inf)
 
 
 def _start(robot: Robot, q: Any, guess: Any) -> np.ndarray:
@@ -201,28 +242,33 @@ class _System:
         return jax.vmap(lambda u: self.resolved(world, 0.0, q, u, gain=0.0).rate)(jnp.eye(self.robot.num_joints))
 
     @_compiled
-    def instantaneous(self, world: Any, q: Any, times: Any) -> Any:
-        """q of the motion without an input."""
-        turn = lambda q, t: (q + (times[1] - times[0]) * self.resolved(world, t, q, jnp.zeros_like(q)).rate, q)
+    def instantaneous(self, world: Any, q: Any, times: Any, alpha: Any) -> Any:
+        """q of the motion down `alpha` times the gradient of the cost, where it stands and without an input."""
+        none = jnp.zeros(self.robot.num_joints)
+
+        def turn(q: Any, t: Any) -> Any:
+            slope = jax.grad(self.cost)(q, self.resolved(world, t, q, none).rate, none, t)
+            return q + (times[1] - times[0]) * self.resolved(world, t, q, -alpha * slope).rate, q
+
         return jax.lax.scan(turn, q, times)[1]
 
 
-def _first(system: _System, world: Any, q: Any, nodes: int, guess: Any) -> tuple[Any, Any]:
-    """Times and z to begin with."""
+def _first(system: _System, world: Any, q: Any, nodes: int, guess: Any) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Times and z to begin with, the most promising first."""
     horizon, n = system.horizon, len(q)
     end = horizon.dt * horizon.count
     if guess is None:
         steps = max(nodes, horizon.count)
         pick = np.linspace(0, steps, nodes + 1).round().astype(int)
-        time = np.linspace(0.0, end, steps + 1)
-        at, time = np.asarray(system.instantaneous(world, q, time))[pick], time[pick]
+        times = np.linspace(0.0, end, steps + 1)
+        begin = [np.asarray(system.instantaneous(world, q, times, alpha))[pick] for alpha in (1.0, 0.0)]
+        times = times[pick]
     else:
-        at, time = np.asarray(guess.q), np.linspace(0.0, end, len(guess.q))
-    z = np.zeros(((4 if system.rate_level else 2) * n, len(time)))
-    z[:n] = at.T
+        begin, times = [np.asarray(guess.q)], np.linspace(0.0, end, len(guess.q))
+    first = np.zeros(((4 if system.rate_level else 2) * n, len(times)))
     if guess is not None and system.rate_level:
-        z[n : 2 * n, 1:] = horizon.dt * np.cumsum(np.asarray(guess.w), axis=0).T
-    return time, z
+        first[n : 2 * n, 1:] = horizon.dt * np.cumsum(np.asarray(guess.w), axis=0).T
+    return [(times, np.concatenate([q.T, first[n:]])) for q in begin]
 
 
 def _padded(function: Any, t: Any, y: Any) -> Any:

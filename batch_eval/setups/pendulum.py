@@ -14,11 +14,12 @@ import jaxik
 
 DT, DURATION = 0.04, 4.0
 START = np.radians([30.0, -30.0, -30.0, -60.0])
-OBSTACLE, ACTIVATION, STEEP = (1.0, 1.1, 0.0), 0.2, 500.0
+OBSTACLE, ACTIVATION = (1.0, 1.1, 0.0), 0.2
+PRINTED, STEEP = 50.0, 500.0  # zeta_coll [1/m3] of table 5.1, and the one by which fig. 5.2's collision of 9.8 comes out
 IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), axes="base")
-# the text's instantaneous motion goes down 50 times the gradient whose cost weighs 500
+# the instantaneous motion goes down the gradient of a cost with the printed zeta_coll
 INSTANTANEOUS = jaxik.motions.FollowOptions(
-    dt=DT, integrator="euler", task=IN_PLANE, alpha=0.1, gain=1.0, limits=False, tolerance=0.1
+    dt=DT, integrator="euler", task=IN_PLANE, alpha=PRINTED / STEEP, gain=1.0, limits=False, tolerance=0.1
 )
 
 
@@ -36,10 +37,10 @@ def path(robot: jaxik.Robot) -> jaxik.motions.Line:
     return jaxik.motions.Line(start, end)
 
 
-def position_cost(robot: jaxik.Robot) -> Callable[[Any], Any]:
-    """(5.35), weighted."""
+def position_cost(robot: jaxik.Robot, steep: float = STEEP) -> Callable[[Any], Any]:
+    """(5.35), weighted by zeta_coll."""
     scene = jaxik.make_scene(points=[OBSTACLE])
-    return lambda q: STEEP / 3.0 * jnp.maximum(ACTIVATION - jaxik.clearance(robot, scene, q), 0.0) ** 3
+    return lambda q: steep / 3.0 * jnp.maximum(ACTIVATION - jaxik.clearance(robot, scene, q), 0.0) ** 3
 
 
 def horizon(descend: jaxik.optimise.DescentOptions = jaxik.optimise.QUASI_NEWTON) -> jaxik.motions.PredictOptions:

@@ -19,7 +19,9 @@ search      alpha_j
                 interval for a minimum anywhere but near the lower end and never let it shrink: here it grows for a minimum near
                 the upper end and shrinks for one near the lower; between points that are not higher on both sides a parabola
                 is not believed, and the lower end is taken; where the cost rises the interval shrinks tenfold)
-  secant        <dw, dw> over <dw, dg>, the two-point step of Barzilai and Borwein, which (5.32) writes for the directions
+  secant        -<dw, ds> / <ds, ds> of the last step and the change of direction (5.32, which lacks the sign that (5.31) needs):
+                straight down the shorter of the two-point steps of Barzilai and Borwein [1988]; `step` at first and where it
+                is not above 0
 
 A direction that does not descend is replaced by -g; and beta is 0 where the gradient is far from orthogonal to the last one,
 `|<g_j, g_{j-1}>| > restart <g_j, g_j>` [Powell 1977], as where the problem has changed in between (the text has no restarts:
@@ -243,8 +245,8 @@ def _search(
         costs = objective.along(state.w, s, three) if objective.along else jax.vmap(lambda alpha: at(alpha)[0])(three)
         return *kernel(_parabola)(costs, state.cost, interval), None
     if options.search == "secant":
-        moved, change = state.alpha * state.direction, g - state.gradient
-        two_points = safe_divide(objective.inner(moved, moved), objective.inner(moved, change))
+        moved, change = state.alpha * state.direction, s - state.direction
+        two_points = safe_divide(-objective.inner(moved, change), objective.inner(change, change))
         alpha = jnp.where((state.iterations == 0) | ~(two_points > 0.0), alpha, two_points)
     return alpha, interval, state.cost + alpha * slope, None
 

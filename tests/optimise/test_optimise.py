@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import lsq_linear, minimize
+from scipy.optimize import lsq_linear, minimize, nnls
 
 from jaxik import spmd
 from jaxik.optimise import descent, sqp
@@ -175,3 +175,24 @@ def test_directions_restart_where_gradients_agree(restart, beta):
     first = descent.advance(flat, descent.init(flat, jnp.zeros(3), options), options)
     assert first.beta == 0.0
     assert descent.advance(flat, first, options).beta == pytest.approx(beta)
+
+
+def test_a_secant_search_is_the_printed_one():
+    """(5.31) as a least-squares problem for SciPy, and straight down the shorter step of Barzilai and Borwein."""
+    curvature, start = np.logspace(-1.0, 1.0, 4), np.array([1.0, -2.0, 0.5, 0.3])
+    objective = descent.Objective(
+        lambda w: (0.5 * jnp.sum(curvature * w**2), ()), lambda w, _: curvature * w, lambda a, b: jnp.sum(a * b)
+    )
+    for direction in ("steepest", "hestenes_stiefel", "fletcher_reeves"):
+        options = descent.DescentOptions(direction=direction, search="secant", step=0.01, restart=None)
+        states = [descent.init(objective, jnp.asarray(start), options)]
+        for _ in range(3):
+            states.append(descent.advance(objective, states[-1], options))
+        (_, first, before, last), moved = states, np.subtract(states[2].w, states[1].w)
+        assert float(first.alpha) == pytest.approx(0.01)
+        change = np.subtract(last.direction, before.direction)
+        wanted = nnls(change[:, None], -moved)[0][0] or options.step  # where none is above 0, the first step
+        assert float(last.alpha) == pytest.approx(wanted, rel=1e-6)
+        if direction == "steepest":
+            slopes = np.subtract(last.gradient, before.gradient)
+            assert float(last.alpha) == pytest.approx(moved @ slopes / (slopes @ slopes), rel=1e-6)

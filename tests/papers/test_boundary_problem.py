@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from papers.boundary_problem import _System, boundary_value
+from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize
-from setups.pendulum import IN_PLANE, START, arm, path
+from setups.pendulum import DT, DURATION, IN_PLANE, START, arm, horizon, path, position_cost
 
 import jaxik
 from jaxik.costs import quadratic_cost
@@ -37,6 +38,25 @@ def test_a_free_start_is_that_of_the_descent(pendulum, line):
     assert reference.success
     assert abs(reference.total / float(free.total) - 1.0) < 5e-3
     np.testing.assert_allclose(reference.q[-1], free.q[-1], atol=5e-3)
+
+
+@pytest.mark.parametrize("steep", [50.0, 500.0])
+def test_the_example_of_the_thesis_is_solved_cold(pendulum, line, steep):
+    """Table 5.1 from the instantaneous motion, on the mesh that bvp4c allows: fig. 5.2 prints a speed of 46."""
+    cost = quadratic_cost(position=position_cost(pendulum, steep))
+    found = boundary_value(pendulum, line, DURATION, START, cost, horizon(), tolerance=1e-2, max_nodes=62)
+    assert found.success and found.residual <= 1e-2 and len(found.time) <= 62
+    rate = CubicSpline(found.time, found.q).derivative()(DT * np.arange(100))
+    assert found.total / DT <= 48.7 and abs(np.sum(rate**2) - 46.5) < 0.1
+
+
+def test_no_solution_is_no_nan(pendulum, line):
+    """A mesh that may not grow, and no time: what is returned is the motion that was begun with, and why."""
+    cost = quadratic_cost(position=position_cost(pendulum))
+    for limits, words in (({"max_nodes": 20}, "mesh nodes is exceeded"), ({"timeout": 0.0}, "No solution within 0 s")):
+        found = boundary_value(pendulum, line, DURATION, START, cost, horizon(), tolerance=1e-9, **limits)
+        assert not found.success and found.reason == jaxik.Reason.NOT_CONVERGED and words in found.message
+        assert found.residual == np.inf and all(np.isfinite(x).all() for x in (found.q, found.u, found.total))
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, np.nan, np.inf])
