@@ -21,6 +21,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from looking_ahead import character
 from papers import ilqr
 from papers.boundary_problem import boundary_value
 from peers import casadi_peer
@@ -32,7 +33,7 @@ import jaxik
 from jaxik.motions.predictive import future, objective, problem
 
 SAMPLES, HORIZONS = 2000, (0.15, 0.5, 1.0, 2.0)
-ALPHAS = (0.3, 1.0, 3.0)
+ALPHAS = (0.003, 0.01, 0.03)  # more, and the instantaneous motion ends
 
 
 def real_time(seconds: float) -> dict[str, Any]:
@@ -69,20 +70,6 @@ def real_time(seconds: float) -> dict[str, Any]:
         "casadi_p99_ms": float(peers[1]),
         "casadi_generate_s": generated,
         **character(robot, *map(np.array, zip(*moved, strict=True))),
-    }
-
-
-def character(robot: jaxik.Robot, q: np.ndarray, qdot: np.ndarray) -> dict[str, float]:
-    """Speeds of the revolute joints, the least clearance, what the posture costs, and whether limits are kept."""
-    clearance = jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, None, q)))
-    speed = np.sum(qdot[:, 1:] ** 2, axis=1)
-    beyond = np.maximum(q - robot.upper, robot.lower - q)
-    return {
-        "peak_speed": float(speed.max()),
-        "speed": case.DT * float(speed.sum()),
-        "clearance_m": float(np.min(clearance(q))),
-        "beyond_limits": float(max(beyond.max(), 0.0)),
-        "position_cost": case.DT * float(np.sum(jax.jit(jax.vmap(case.position_cost(robot)))(q))),
     }
 
 

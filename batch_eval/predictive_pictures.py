@@ -1,5 +1,6 @@
-"""Pictures of motions that look ahead: `python batch_eval/predictive_pictures.py FOLDER` draws figs. 5.1 to 5.8, 5.10 and 5.11
-of Schuetz 2017 anew, and two animations, instantaneous beside predictive; the statistics from `predictive_statistics.json`.
+"""Pictures of motions that look ahead: `python batch_eval/predictive_pictures.py FOLDER` draws figs. 5.1 to 5.11 of
+Schuetz 2017 anew, and two animations, instantaneous beside predictive; what takes long from `predictive_statistics.json` and
+`looking_ahead.json`.
 """
 
 from __future__ import annotations
@@ -9,9 +10,10 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import jax
+import looking_ahead
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
@@ -19,9 +21,9 @@ from setups import pendulum
 from setups import self_collision as case
 
 import jaxik
-from jaxik.optimise.descent import Direction, Search
 from jaxik.view.solids import frames
 
+RESULTS = "predictive_statistics", "looking_ahead"
 GREY, BLUE, GREEN = "0.6", "tab:blue", "tab:green"
 
 
@@ -47,19 +49,20 @@ class Shown:
 
 
 def pendulum_motions() -> list[Shown]:
-    """The instantaneous one and the optimum."""
-    arm = pendulum.arm()
-    path, near = pendulum.path(arm), pendulum.position_cost(arm)
-    now = jaxik.follow(arm, path, pendulum.DURATION, pendulum.START, cost=near, options=pendulum.INSTANTANEOUS)
-    cost = jaxik.costs.quadratic_cost(position=near)
-    ahead = jaxik.predict(arm, path, pendulum.DURATION, pendulum.START, cost, options=pendulum.horizon())
+    """The instantaneous one, the optimum of the boundary value problem, and what `predict` finds."""
+    now, ahead = (
+        looking_ahead.instantaneous(),
+        looking_ahead.predicted(pendulum.PRINTED, direction="fletcher_reeves", search="polynomial", guess="gradient"),
+    )
+    best = looking_ahead.at_samples(looking_ahead.tpbvp(pendulum.PRINTED))
     return [
         Shown("instantaneous", GREY, pendulum.DT, now.q[:-1], now.velocity[:-1]),
-        Shown("predictive", BLUE, pendulum.DT, np.asarray(ahead.q)[:-1], np.asarray(ahead.velocity)),
+        Shown("boundary value problem", BLUE, pendulum.DT, *best),
+        Shown("predictive", "tab:purple", pendulum.DT, np.asarray(ahead.q)[:-1], np.asarray(ahead.velocity)),
     ]
 
 
-def nine_joint_motions(seconds: Sequence[float] = (0.15, 2.0), alpha: float = 1.0) -> list[Shown]:
+def nine_joint_motions(seconds: Sequence[float] = (0.15, 2.0), alpha: float = 0.01) -> list[Shown]:
     """The instantaneous one, and those under moving horizons."""
     robot = case.arm()
     path, colours = case.path(robot), plt.get_cmap("viridis")(np.linspace(0.3, 0.8, len(seconds)))
@@ -110,27 +113,31 @@ def costs_over_time(motions: Sequence[Shown]) -> Any:
     return figure
 
 
-def convergence(kind: str) -> Any:
-    """Fig. 5.3 (`"direction"`, with a fixed step) or 5.4 (`"search"`, straight down): the cost and beta or alpha by iterations,
-    in the text's own way, without restarts."""
-    arm = pendulum.arm()
-    path, cost = pendulum.path(arm), jaxik.costs.quadratic_cost(position=pendulum.position_cost(arm))
-    solve = lambda how: jaxik.predict(arm, path, pendulum.DURATION, pendulum.START, cost, options=pendulum.horizon(how))
-    best = float(solve(jaxik.optimise.QUASI_NEWTON).total) / pendulum.DT
-    names = [n for n in get_args(Direction if kind == "direction" else Search) if n != "lbfgs"]
-    fixed = {"direction": "steepest", "search": "fixed", "step": 0.01, "restart": None, "tolerance": 1e-4}
-    figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-    for name in names:
-        options = fixed | {kind: name}
-        if kind == "search" and name != "fixed":
-            options["step"] = 0.05
-        found = solve(jaxik.optimise.DescentOptions(**options))
-        axes[0].plot(np.asarray(found.totals) / pendulum.DT, ".-", label=name.replace("_", " "))
-        axes[1].plot(np.asarray(found.betas if kind == "direction" else found.alphas), ".-")
-    axes[0].axhline(best, color="k", ls="--", lw=1, label="optimum (L-BFGS)")
-    axes[0].set(xlabel="iteration", ylabel="cost, sum over the samples", yscale="log")
-    axes[1].set(xlabel="iteration", ylabel="beta" if kind == "direction" else "alpha", ylim=(None, None))
-    axes[0].legend(fontsize=8)
+def convergence(kind: str, found: dict[str, Any]) -> Any:
+    """Fig. 5.3 (`"directions"`, with a fixed step) or 5.4 (`"searches"`, straight down): the cost and beta or alpha by
+    iterations, a row for each zeta_coll."""
+    zetas = found[kind]
+    figure, axes = plt.subplots(len(zetas), 2, figsize=(10, 3.6 * len(zetas)), layout="constrained", squeeze=False)
+    for (left, right), (zeta, rows), passing in zip(axes, zetas.items(), found["passing"], strict=True):
+        for row in rows:
+            left.plot(row["totals"], ".-", label=row["who"].replace("_", " "))
+            right.plot(row["gains"], ".-")
+        left.axhline(passing["tpbvp"]["total"], color="k", ls="--", lw=1, label="boundary value problem")
+        left.set(xlabel="iteration", ylabel="cost, sum over the samples", title=f"zeta_coll {zeta} 1/m3")
+        right.set(xlabel="iteration", ylabel="beta" if kind == "directions" else "alpha")
+    axes[0, 0].legend(fontsize=8)
+    return figure
+
+
+def levels(found: dict[str, Any]) -> Any:
+    """Fig. 5.9: the joints' velocities under a moving horizon, the input on the level of velocity and of acceleration."""
+    figure, axes = plt.subplots(1, 2, figsize=(10, 3.6), sharey=True, layout="constrained")
+    for axis, level in zip(axes, ("velocity", "acceleration"), strict=True):
+        rate = np.array(found[level]["velocity_rad_s"])
+        axis.step(pendulum.DT * np.arange(len(rate)), rate, where="post", lw=1.2)
+        axis.set(xlabel="time [s]", title=f"input: {level} (jumps of {found[level]['jump_rad_s']:.2f} rad/s)")
+    axes[0].set_ylabel("velocity of the joints [rad/s]")
+    axes[0].legend([f"joint {i + 1}" for i in range(4)], fontsize=8)
     return figure
 
 
@@ -250,14 +257,15 @@ def animate_nine(motions: Sequence[Shown], path: Path) -> None:
 def main(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     save = lambda figure, name: figure.savefig(folder / f"{name}.png", dpi=90)
-    found = json.loads((Path(__file__).parent / "predictive_statistics.json").read_text())
-    save(statistics(found), "statistics")
+    statistical, found = (json.loads(Path(__file__).with_name(f"{name}.json").read_text()) for name in RESULTS)
+    save(statistics(statistical), "statistics")
     motions = pendulum_motions()
     save(snapshots(motions), "pendulum")
     save(costs_over_time(motions), "pendulum_costs")
-    save(convergence("direction"), "directions")
-    save(convergence("search"), "searches")
-    animate_pendulum(motions, folder / "pendulum.gif")
+    save(convergence("directions", found), "directions")
+    save(convergence("searches", found), "searches")
+    save(levels(found["levels"]), "levels")
+    animate_pendulum(motions[:2], folder / "pendulum.gif")
     motions = nine_joint_motions((0.15, 0.5, 1.0, 2.0))
     save(speeds(motions), "speeds")
     few = [motions[0], motions[-1]]

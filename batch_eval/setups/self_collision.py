@@ -22,8 +22,8 @@ from jaxik.motions import PredictiveController, PredictOptions
 DT, DURATION = 0.01, 4.0
 START = np.array([0.56, 0.42, -1.4, 1.18, 0.48, 1.54, -0.05, 0.34, 0.54])
 RISE = 1.19  # [m]
-NEAR, STEEP = 0.1, 500.0  # activation [m] and weight of the collision cost (4.31)
-LIMITS, SOFT = 5.0, 0.1  # weight and soft share of the joint limits' cost (4.27)
+NEAR, STEEP = 0.1, 5000.0  # activation [m] and weight of the collision cost (4.31); not printed
+LIMITS, SOFT = 500.0, 0.1  # weight and soft share of the joint limits' cost (4.27); not printed
 VELOCITY, EFFORT = 2.0, 0.2
 WEIGHTS = (30.0,) + (1.0,) * 8
 POSITION = jaxik.Task.position()

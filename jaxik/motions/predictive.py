@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxik.checks.arrays import Array, as_numbers, check_known, numbers
-from jaxik.checks.options import as_count, check_finite, check_seed
+from jaxik.checks.options import as_count, check_choices, check_finite, check_seed
 from jaxik.costs import RunningCost
 from jaxik.kinematics.robot import Robot
 from jaxik.motions.following import Axes, Course, MotionResult, Progress, by_scenarios, diagnose, scenario_axes
@@ -41,6 +41,7 @@ from jaxik.options import choice, count, flag, instance, number
 from jaxik.spmd import kernel
 
 Level = Literal["velocity", "acceleration"]
+Guess = Literal["gradient"]
 Each = Literal["path", "duration", "guess", "given"]  # as the compiled program takes them
 
 
@@ -169,10 +170,27 @@ def self_motion(robot: Robot, q: Any, along: Any, ahead: Future, how: PredictOpt
     return kernel(lambda q, shares: jax.lax.scan(turn, q, shares)[0])(q, shares)
 
 
+def downhill_inputs(robot: Robot, cost: RunningCost, how: PredictOptions, q: Any, ahead: Future, given: tuple[Any, ...]) -> Any:
+    """The inputs (count, n), or one more of a free start, of the motion that goes down the cost's gradient at every moment."""
+    none, gain = jnp.zeros_like(q), loop_gain(how.gain, how.dt)
+
+    def turn(q: Any, now: Future) -> Any:
+        asked = jax.tree_util.tree_map(lambda x: x[0], now.asked)  # the step's first stage
+        rate = lambda u: how.resolved(robot, q, asked, u, gain=gain).rate
+        u = -jax.grad(cost)(q, rate(none), none, now.time, *given)
+        return q + how.dt * rate(u), u
+
+    u = jax.lax.scan(turn, q, ahead)[1]
+    if how.level == "acceleration":
+        u = jnp.diff(jnp.concatenate([none[None], u[1:], u[-1:]]), axis=0) / how.dt
+    return jnp.concatenate([none[None], u]) if how.free_start else u
+
+
 @functools.lru_cache(maxsize=32)
 def _program(robot: Robot, cost: RunningCost, how: PredictOptions, axes: Axes | None) -> Callable[..., PredictResult]:
     def solve(q: Any, path: Path, duration: Any, w: Any, given: tuple[Any, ...]) -> PredictResult:
         ahead = future(path, duration, how)
+        w = downhill_inputs(robot, cost, how, q, ahead, given) if w is None else w
         many = axes is not None and jax.default_backend() == "cpu"
         goal = objective(robot, cost, how, q, ahead, given, many=many)
         found = descent.run(goal, w, how.descend)
@@ -208,10 +226,11 @@ def predict(
 
     It is judged as far as the horizon goes, `count` samples, which may end before the path does.
 
-    `guess` (count, n) is the first input, 0 unless given. `given`, any pytree, is handed to the cost as its last argument: what
-    may change from call to call without compiling again. With q (b, n) it is b scenarios in one call, every field of the result
-    with a leading axis b, and each is what it is alone; `each` names what else has one entry a scenario ("path", "duration",
-    "guess", "given"). `changes` are fields of `PredictOptions` by name; `progress(done, total)` counts scenarios.
+    `guess` (count, n) is the first input, 0 unless given; "gradient" is that of the motion which goes down the cost's gradient
+    at every moment, as `follow` does [Schuetz 2017, sec. 5.4]. `given`, any pytree, is handed to the cost as its last argument:
+    what may change from call to call without compiling again. With q (b, n) it is b scenarios in one call, every field of the
+    result with a leading axis b, and each is what it is alone; `each` names what else has one entry a scenario ("path",
+    "duration", "guess", "given"). `changes` are fields of `PredictOptions` by name; `progress(done, total)` counts scenarios.
 
     With more than one of `starts`, which is no longer traced, one scenario begins with so many inputs, the guess and smooth
     random ones of a `seed`, and has so many results: what is solved first, and among them, and among the rest, the best first.
@@ -227,6 +246,8 @@ def predict(
     check_seed("predict", seed)
     if starts == 1:
         return _predicted(robot, path, duration, q, cost, how, guess, more, each, progress)
+    if isinstance(guess, str):
+        raise ValueError(f"predict: guess {guess!r} beside starts {starts}; allowed: (count, n), or leave one of them out")
     check_known("predict: starts", q=q, path=path, duration=duration, guess=guess, given=given)
     if each:
         raise ValueError("predict: starts are those of one scenario; leave `each` out, or call it for each scenario")
@@ -277,6 +298,9 @@ def _predicted(
     q = as_numbers("predict: q", q).astype(jnp.result_type(float))
     axes = scenario_axes("predict", robot, path, duration, q, each, Each)
     shape = (how.count + how.free_start, robot.num_joints)
+    if isinstance(guess, str):
+        check_choices("predict", guess=(guess, Guess))
+        return by_scenarios(_program(robot, cost, how, axes), axes, (q, path, duration, None, given), progress)
     w: Any = np.zeros(shape, q.dtype) if guess is None else as_numbers("predict: guess", guess).astype(q.dtype)
     if how.free_start and w.shape[-2:] == (how.count, robot.num_joints):
         w = jnp.concatenate([jnp.zeros_like(w[..., :1, :]), w], axis=-2)

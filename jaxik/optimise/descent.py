@@ -19,7 +19,7 @@ search      alpha_j
                 interval for a minimum anywhere but near the lower end and never let it shrink: here it grows for a minimum near
                 the upper end and shrinks for one near the lower; between points that are not higher on both sides a parabola
                 is not believed, and the lower end is taken; where the cost rises the interval shrinks tenfold)
-  secant        -<dw, ds> / <ds, ds> of the last step and the change of direction (5.32, which lacks the sign that (5.31) needs):
+  secant        -<dw, ds> / <ds, ds> of the last step and the change of direction (5.32, which lacks the sign of (5.31)):
                 straight down the shorter of the two-point steps of Barzilai and Borwein [1988]; `step` at first and where it
                 is not above 0
 

@@ -361,6 +361,27 @@ def test_looking_ahead_beats_the_moment(direction, search, pendulum, line):
     assert totals[-1] < 58.0  # from 75 without an input; the next local minimum is 56.7, the moment costs 62 + 9.8
 
 
+def test_a_guess_down_the_gradient_is_the_motion_of_follow(pendulum, line):
+    """On the velocity level exactly; on the other it leads first-order steps past the minimum that they find from zeros."""
+    position = lambda q: 500.0 * near_obstacle(pendulum)(q)
+    cost, how = quadratic_cost(position=position), {"dt": 0.04, "task": IN_PLANE, "gain": 1.0}
+    moved = jaxik.follow(
+        pendulum, line, 4.0, START, cost=position, alpha=1.0, integrator="euler", limits=False, tolerance=0.1, **how
+    )
+    slope = jax.vmap(jax.grad(position))(moved.q[:-1])
+    rate, level = moved.velocity[:-1], jax.vmap(position)(moved.q[:-1])
+    total = float(np.sum(level) + np.sum(rate**2) + np.sum(np.asarray(slope) ** 2))
+    few = PredictOptions(count=100, level="velocity", descend=DescentOptions(iterations=1), **how)
+    found = predict(pendulum, line, 4.0, np.tile(START, (2, 1)), cost, options=few, guess="gradient")
+    np.testing.assert_allclose(found.totals[:, 0] / few.dt, total, rtol=1e-6)
+    many = PredictOptions(count=100, descend=DescentOptions(direction="fletcher_reeves"), **how)
+    assert float(predict(pendulum, line, 4.0, START, cost, options=many, guess="gradient").total) / many.dt < 50.1
+    with pytest.raises(ValueError, match="guess 'slope'; allowed: gradient"):
+        predict(pendulum, line, 4.0, START, cost, options=few, guess="slope")
+    with pytest.raises(ValueError, match="guess 'gradient' beside starts 3"):
+        predict(pendulum, line, 4.0, START, cost, options=few, guess="gradient", starts=3)
+
+
 def test_motions_of_little_energy(pendulum, line):
     """Rods of a kilogram, upright: less energy than the least rates take, and what holds them is part of it."""
     rod = Body(np.asarray(1.0), np.array([0.25, 0.0, 0.0]), np.diag([1e-4, 0.02, 0.02]))
