@@ -418,9 +418,9 @@ def several(study: Study, how: dict[str, Any]) -> tuple[dict[str, Any], Trajecto
 
 
 def typical(study: Study) -> dict[str, Any]:
-    """Figures 6.5 to 6.7: the fruit behind the stem whose share saved comes nearest to the printed one; nothing else of it was
-    looked at. Its guess is free, the straight line is not, both solvers make a free motion of both, and most of what that
-    costs is its speed: where the goal itself is too near, the optimum rushes there in the last sample."""
+    """Figures 6.5 to 6.7: the fruit behind the stem whose share saved comes nearest to the printed one. Its guess is free, the
+    straight line is not, and both solvers make a free motion of both. Fruits whose goal is too near to the stem are left out,
+    since we saw that their optimum waits and rushes there in the last sample: most of the cost must be of speed."""
     saved = 1.0 - study.dynamic("heuristic", "ipopt") / study.own["heuristic"]
     fits = study.guess_free["heuristic"] & ~study.guess_free["straight"] & study.reaches["heuristic"]
     for name, who in study.runs:
