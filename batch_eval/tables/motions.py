@@ -117,36 +117,49 @@ def astar_markdown(result: dict[str, Any]) -> str:
 
 
 def peppers_markdown(result: dict[str, Any]) -> str:
-    """Table 6.2 beside what is printed, and the same programme by IPOPT."""
-    paper, best = result["paper"], result["best"]
-    both = lambda pair, digits: f"{pair[0]:.{digits}f} ({pair[1]:.{digits}f})"
+    """Table 6.2 beside what is printed, by jaxik and by the thesis' solver; then where they differ, and the typical fruit."""
+    paper, count = result["printed"], result["fruits"]
+    both = lambda row, digits: f"{row['median']:.{digits}f} ({row['mean']:.{digits}f})"
     lines = [
         "| median (mean) | converged and free | remaining dynamic cost | iterations | time |",
         "| --- | --- | --- | --- | --- |",
     ]
     for name in ("heuristic", "straight"):
-        row = result["printed"][name]
-        count, time = f"{row['converged_and_free']} of 79", f"{both(row['s'], 2)} s"
-        lines.append(f"| {name} guess | {count} | {both(row['remaining'], 2)} | {both(row['iterations'], 0)} | {time} |")
-        iterations, seconds = both(paper[name][:2], 0), both(paper[name][2:], 2)
+        for who, label in (("jaxik", "jaxik"), ("ipopt", "IPOPT, L-BFGS")):
+            row = result[name][who]
+            cells = f"{row['converged_and_free']} of {count}", both(row["remaining"], 2), both(row["iterations"], 0)
+            lines.append(f"| {name} guess, {label} | {' | '.join(cells)} | {both(row['s'], 2)} s |")
         cost = both(paper["remaining"], 2) if name == "heuristic" else "-"
-        lines.append(f"| the thesis' | 94 % | {cost} | {iterations} | {seconds} s |")
-    free = f"{best['free']} of 79, all proven"
-    time = f"{both(best['alone_s'], 2)} s; all 79 together {best['together_s']:.1f} s"
+        cells = f"{100 * paper['converged_share']:.0f} %", cost, both(paper["iterations"][name], 0)
+        lines.append(f"| {name} guess, the thesis | {' | '.join(cells)} | {both(paper['s'][name], 2)} s |")
+    best = result["several_postures_and_a_margin"]
+    cells = f"{best['free']} of {count}, all proven", both(best["remaining"], 2), both(best["iterations"], 0)
     lines.append(
-        f"| several postures, and a margin | {free} | {both(best['remaining'], 2)} | {both(best['iterations'], 0)} | {time} |"
+        f"| no guess: several postures, and a margin | {' | '.join(cells)} | all together {best['together_s']:.1f} s |"
     )
-    pairs = [row for row in result["ipopt"] if row["ipopt"]["converged"] and row["ipopt_from_ours"]["converged"]]
-    same = [abs(row["cost"] / row["ipopt_from_ours"]["cost"] - 1.0) for row in pairs]
-    alike = [row for row in pairs if abs(row["cost"] / row["ipopt"]["cost"] - 1.0) <= 1e-3]
-    faster = sorted(row["ipopt"]["s"] / row["s"] for row in pairs)[len(pairs) // 2]
+    guess = {name: result[name]["guess"] for name in ("heuristic", "straight")}
+    reach = " and ".join(f"{row['reaches']} ({row['free']} of {count} free)" for row in guess.values())
+    apart, one = result["apart"], result["typical"]
     lines += [
         "",
-        f"IPOPT, from where jaxik ended, finds the same cost to {max(same):.0e} ({len(pairs)} of "
-        f"{len(result['ipopt'])} fruits, where it converges); from the same heuristic guess it ends in the same optimum for "
-        f"{len(alike)}, and takes {faster:.0f} times as long (median).",
+        f"Heuristic and straight guesses that reach their fruit: {reach}. Failed by collision, and not converged: "
+        + "; ".join(f"{name}, {who} {_failed(result[name][who])}" for name in guess for who in ("jaxik", "ipopt"))
+        + f". From the same guess both solvers end in the same optimum {apart['same']} times of {apart['of']}, jaxik in a "
+        f"cheaper one {apart['jaxik_less']} times, IPOPT {apart['ipopt_less']} times.",
     ]
-    return "\n".join(lines)
+    printed = paper["typical"]
+    typical = [
+        f"{name}: {one['jaxik'][name]['iterations']} iterations by jaxik, {one['ipopt'][name]['iterations']} by IPOPT, "
+        f"{printed['iterations'][name]} printed"
+        for name in guess
+    ]
+    saved = [f"{100 * one[who]['heuristic']['saved']:.1f} %" for who in ("jaxik", "ipopt")]
+    words = f"saved {saved[0]} and {saved[1]} ({100 * printed['saved']:.1f} % printed)"
+    return "\n".join([*lines, "", f"The typical fruit: {'; '.join(typical)}; {words}."])
+
+
+def _failed(row: dict[str, Any]) -> str:
+    return f"{row['failed']['collision']} and {row['failed']['not_converged']}"
 
 
 def harvest_motions_markdown(result: dict[str, Any]) -> str:

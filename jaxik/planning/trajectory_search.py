@@ -70,7 +70,10 @@ class Search:
             samples[:, 0] = self.starts[rows]
             if self.poses is None:
                 samples[:, -1] = ends
-        kept = self._tried(rows, samples)
+        each: Any = slice(None)
+        if guess is not None and self.poses is not None:  # the guess ends where it does, whatever posture has the pose
+            each = np.unique(rows, return_index=True)[1]
+        kept = self._tried(rows[each], samples[each])
         left, space = self.reason[rows] != Reason.SOLVED, self.judge.space
         if self.options.rounds and self.options.kept_margin is not None and space is not None and left.any():
             kept += self._held(*self._planned(space, rows[left], ends[left]))

@@ -256,6 +256,22 @@ def test_an_endless_joint_takes_the_shorter_turn(arm):
     np.testing.assert_allclose(wound.trajectory.at(wound.trajectory.duration).q, goal, atol=1e-6)
 
 
+def test_a_guess_to_a_pose_is_optimised_once(arm, monkeypatch):
+    """Not as often as there are postures: they would all begin at the same guess."""
+    robot, _ = arm
+    goal = np.asarray(jaxik.forward_kinematics(robot, ASIDE))
+    counts, solve = [], collocation.optimise
+    monkeypatch.setattr(
+        collocation, "optimise", lambda problem, points, *a: counts.append(len(points)) or solve(problem, points, *a)
+    )
+    options = SOFT | {"task": jaxik.Task.position()}
+    found = optimise_trajectory(robot, NEAR, goal, scene=POLES, guess=np.linspace(NEAR, ASIDE, 25), **options)
+    assert found.converged and counts == [1, 1]
+    counts.clear()
+    assert optimise_trajectory(robot, NEAR, goal, scene=POLES, **options).success
+    assert counts[0] > 1
+
+
 def test_cost_by_obstacles_and_links(arm):
     """The least cost's derivatives, against differences of optima."""
     robot, _ = arm
