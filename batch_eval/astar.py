@@ -76,7 +76,7 @@ def two_links(scene: StemScene) -> tuple[jaxik.Robot, jaxik.Scene]:
 
 
 def figure_7(one: Posed, ways: dict[str, dict[str, Any]] = WAYS, timed: bool = True) -> dict[str, Any]:
-    """What each search took on a scene, planned by jaxik's own collision test."""
+    """The counts and times of each search on a scene, planned by jaxik's own collision test."""
     robot, around = two_links(one.scene)
     collides = jax.jit(jax.vmap(lambda q: jaxik.collides(robot, around, q)))
     theirs = np.asarray(collides(GRID.configurations(np.arange(len(one.hits))).astype(np.float32)))
@@ -201,7 +201,7 @@ def steps(how: dict[str, Any]) -> np.ndarray:
 
 
 def figure_8(how: dict[str, Any]) -> dict[str, Any]:
-    """From a posture in the path, the forearm along the row, to the cucumber behind a stem: with the slide held before
+    """The way from a posture in the path, the forearm along the row, to the cucumber behind a stem: with the slide held before
     that, or from the slide's end."""
     whole, (scene, cucumber) = jaxik.load("p6r"), posts()
     moves = how["slide_m"] is not None
@@ -342,7 +342,7 @@ def study(quick: bool = False, tell: Callable[[int, int], Any] | None = None) ->
         result["six_joints"] = six_joints()
         result["figure_8"] = {"six": figure_8(SIX), "seven": figure_8(SEVEN)}
     told(5, parts)
-    result["surfaces"] = surfaces(*((1, 16, 16) if quick else (7, 32, 2048)))
+    result["surfaces"] = surfaces(*((1, 4, 4) if quick else (7, 32, 2048)))
     told(6, parts)
     return result
 

@@ -276,7 +276,7 @@ def figure_18(robot: jaxik.Robot) -> dict[str, Any]:
 
 
 def timed(goal: np.ndarray) -> jaxik.planning.Trajectory:
-    """From zero to a posture and from rest to rest in the least time of a quintic within our limits."""
+    """The motion from zero to a posture, from rest to rest, in the least time of a quintic within our limits."""
     ends = [np.zeros(len(goal)), goal]
     return jaxik.planning.time_path(ends, profile="quintic", velocity=VELOCITY, acceleration=ACCELERATION)
 

@@ -195,7 +195,7 @@ class _Search:
         return found
 
     def _kept(self, nodes: np.ndarray) -> np.ndarray:
-        """Those of the nodes that may be open."""
+        """The nodes among these that may be open."""
         return nodes[self.are_free(nodes)] if self.early else nodes
 
     def _put(self, nodes: np.ndarray) -> None:

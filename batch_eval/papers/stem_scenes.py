@@ -186,13 +186,13 @@ def beside(scene: StemScene, rng: np.random.Generator, far: float) -> StemScene:
 
 
 def off(counts: Any) -> int:
-    """By how many iterations, of both directions together, from the printed ones."""
+    """Counts the iterations, of both directions together, that are between these and the printed ones."""
     return int(np.abs(np.subtract(counts, PRINTED)).sum())
 
 
 @dataclasses.dataclass(frozen=True)
 class Search:
-    """What was found: the best scene and its counts; how many were drawn at random, and the least counts (k, 2) of those that
+    """The outcome of a search: the best scene and its counts; how many were drawn at random, and the least counts (k, 2) of those that
     are as the words say; and how many such scenes were looked at in all."""
 
     best: Posed
