@@ -58,8 +58,8 @@ def box_faces(frame: Any, edges: Any) -> np.ndarray:
 
 
 def rounded_hull(frame: Any, edges: Any, surfaces: int) -> np.ndarray:
-    """The triangles (k, 3, 3), an even number of them, of a body inside of a box: a convex hull of points spread over a rounded box
-    (a superellipsoid of degree four), as a stand-in for a part's CAD model."""
+    """The triangles (k, 3, 3), an even number of them, of a body inside of a box: a convex hull of points spread over a rounded
+    box (a superellipsoid of degree four), as a stand-in for a part's CAD model."""
     frame, i = np.asarray(frame), np.arange(surfaces // 2 + 2) + 0.5  # a hull of v points has 2 v - 4 triangles
     turn, height = np.pi * (1.0 + 5.0**0.5) * i, 1.0 - 2.0 * i / len(i)
     ring = np.sqrt(1.0 - height**2)

@@ -192,8 +192,8 @@ def off(counts: Any) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class Search:
-    """The outcome of a search: the best scene and its counts; how many were drawn at random, and the least counts (k, 2) of those that
-    are as the words say; and how many such scenes were looked at in all."""
+    """The outcome of a search: the best scene and its counts; how many were drawn at random, and the least counts (k, 2) of
+    those that are as the words say; and how many such scenes were looked at in all."""
 
     best: Posed
     counts: tuple[int, int]
