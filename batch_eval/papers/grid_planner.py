@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from papers.grid_search import MOST, Grid, shortest
+from papers.grid_search import JUDGED, MOST, TIES, Grid, shortest
 
 import jaxik
 
@@ -57,6 +57,8 @@ def plan_on_grid(
     batch: int = 1024,
     margin: float = 0.0,
     most: int = 10**7,
+    judge: str = "expanded",
+    ties: str = "nearest",
 ) -> GridPlanned:
     """Returns the shortest way from `start` to `goal` (n,) over a grid of configurations inside the limits, by A*.
 
@@ -72,15 +74,19 @@ def plan_on_grid(
     weight: of the remaining way in a node's price; with 1 the way is a shortest on the grid, with more it is found sooner, and
         at most so many times longer.
     euclidean: the remaining way is estimated by a straight line, as in the paper, not by the way over a grid without obstacles.
-    batch: nodes that are expanded, and checked for collision, at a time; 1 is the paper's search.
+    batch: nodes that are expanded, and checked for collision, at a time; the paper's is one.
     margin: least clearance of a node [m].
     most: nodes after which it gives up.
+    judge: nodes are checked for collision when they are "reached", and what collides never becomes an open node, as printed;
+        or only when they are "expanded", which tests fewer. The paper's search has batch=1, euclidean=True, judge="reached";
+        its iterations are `expanded`, the goal's included.
+    ties: of open nodes with the same price the "nearest" to the goal is taken first, or the "farthest"; the paper is silent.
 
     Reasons: SOLVED; INVALID, LIMITS, COLLISION of the start or the goal, or of all nodes beside it; NOT_CONVERGED, given up;
     OUT_OF_REACH, proven: the grid has no way. Raises `ValueError` for values out of range, and for a grid of more than 10^8
     nodes. Source: van Henten et al., Collision-free motion planning for a cucumber picking robot, 2003, sec. 4.3.
     """
-    _check(direction, weight, batch, most)
+    _check(direction, weight, batch, most, judge, ties)
     ends = np.stack([np.asarray(start, np.float64), np.asarray(goal, np.float64)])
     endless = np.isinf(robot.lower) & np.isinf(robot.upper) & ~np.array(robot.is_prismatic)
     hits = functools.partial(_hits, _checker(robot, scene), endless, margin)
@@ -97,7 +103,8 @@ def plan_on_grid(
         nodes.append(int(near[np.argmax(free)]))
     if direction == "backward":
         nodes.reverse()
-    found = shortest(grid, lambda q: ~hits(q), nodes[0], nodes[1], direction == "both", weight, euclidean, batch, most)
+    how = (direction == "both", weight, euclidean, batch, most, judge, ties)
+    found = shortest(grid, lambda q: ~hits(q), nodes[0], nodes[1], *how)
     if found.nodes is None:
         reason = jaxik.Reason.OUT_OF_REACH if found.complete else jaxik.Reason.NOT_CONVERGED
         return GridPlanned(reason, expanded=found.expanded, judged=found.judged)
@@ -107,9 +114,11 @@ def plan_on_grid(
     return GridPlanned(jaxik.Reason.SOLVED, "", waypoints[kept], found.length, found.expanded, found.judged)
 
 
-def _check(direction: str, weight: float, batch: int, most: int) -> None:
-    if direction not in DIRECTIONS:
-        raise ValueError(f"plan_on_grid: direction '{direction}'; allowed: {', '.join(DIRECTIONS)}")
+def _check(direction: str, weight: float, batch: int, most: int, judge: str, ties: str) -> None:
+    choices = {"direction": (direction, DIRECTIONS), "judge": (judge, JUDGED), "ties": (ties, TIES)}
+    for name, (value, allowed) in choices.items():
+        if value not in allowed:
+            raise ValueError(f"plan_on_grid: {name} '{value}'; allowed: {', '.join(allowed)}")
     if not 1.0 <= weight < np.inf:
         raise ValueError(f"plan_on_grid: weight is {weight}; allowed: 1 and more")
     for name, count in (("batch", batch), ("most", most)):

@@ -4,9 +4,10 @@
 
 g is the way from the root to a node n, h what is left to the goal if nothing stands in the way, over the grid or straight
 ("euclidean"), which is never more than there is; so with weight 1 the first way to be found is a shortest, and with a greater
-one it is at most so many times longer. Nodes are judged when they are to be expanded, and not before [van Henten et al. 2003,
-sec. 4.3]; one by one as there, or many at once, and then a few more are looked at, for a way is the shortest only when no node
-that is left promises a shorter one.
+one it is at most so many times longer. Nodes are judged when they are "reached", and those that collide are never open, as
+printed [van Henten et al. 2003, sec. 4.3.1]; or only when they are to be "expanded", which asks for fewer collision tests of a
+robot and counts what collides among the nodes that were taken. One by one as there, or many at once, and then a few more are
+looked at, for a way is the shortest only when no node that is left promises a shorter one.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from typing import Any
 import numpy as np
 
 MOST = 10**8  # nodes of a grid, for each of which nine bytes are kept
+JUDGED = ("expanded", "reached")
+TIES = ("nearest", "farthest")
 _UNKNOWN, _FREE, _HIT = range(3)
 
 
@@ -69,7 +72,8 @@ class Grid:
 
 @dataclasses.dataclass(frozen=True)
 class Way:
-    """The nodes of the shortest way, None where there is none; its length, and how many nodes were expanded and judged."""
+    """The nodes of the shortest way, None where there is none; its length, how many nodes were taken from the open ones, and
+    how many judged."""
 
     nodes: np.ndarray | None
     length: float
@@ -88,33 +92,42 @@ def shortest(
     euclidean: bool = False,
     batch: int = 1,
     most: int = 10**7,
+    judge: str = "expanded",
+    ties: str = "nearest",
 ) -> Way:
     """The shortest way between two nodes over nodes whose configurations (b, n) are `free` (b,), `batch` at a time; from `both`
-    ends at once, or from the start. The search is given up after `most` nodes."""
+    ends at once, or from the start. The search is given up after `most` nodes.
+
+    Nodes are judged when they are `judge`, "reached" or "expanded"; of those with the same f the one with the least h is taken
+    first (`ties` "nearest") or that with the most. One by one, from one end and judged when reached, it is Pearl's five steps
+    as printed: it ends when the goal is taken, and `expanded` are its iterations, that last one included.
+    """
     known = np.zeros(int(np.prod(grid.shape)), np.int8)
 
-    def judge(nodes: np.ndarray) -> np.ndarray:
+    def are_free(nodes: np.ndarray) -> np.ndarray:
         """Whether each of these is free; those that are not known are asked for."""
         unknown = nodes[known[nodes] == _UNKNOWN]
         if len(unknown):
             known[unknown] = np.where(free(grid.configurations(unknown)), _FREE, _HIT)
         return known[nodes] == _FREE
 
-    searches = [_Search(grid, *ends, weight, euclidean) for ends in ((start, goal), (goal, start))[: 1 + both]]
-    best, meeting = (0.0, start) if start == goal and judge(np.array([start]))[0] else (np.inf, -1)
+    early, printed = judge == "reached", judge == "reached" and batch == 1 and not both
+    roots = ((start, goal), (goal, start))[: 1 + both]
+    searches = [_Search(grid, *ends, weight, euclidean, are_free, early, ties == "farthest") for ends in roots]
+    best, meeting = (0.0, start) if start == goal and are_free(np.array([start]))[0] else (np.inf, -1)
     for turn in itertools.cycle(range(len(searches))):
         ours, other = searches[turn], searches[-1 - turn]
         bounds = [search.least for search in searches]
-        if best <= max(bounds) or not np.isfinite(max(bounds)):
+        if not np.isfinite(max(bounds)) or (ours.arrived if printed else best <= max(bounds)):
             break
         if sum(search.expanded for search in searches) >= most:
             return Way(None, np.inf, most, int((known > 0).sum()), False)
-        reached = ours.expand(judge, batch)
+        reached = ours.expand(batch)
         length = ours.cost[reached] + (other.cost[reached] if both else np.where(reached == goal, 0.0, np.inf))
         for i in np.argsort(length):
             if not length[i] < best:
                 break
-            if judge(reached[i : i + 1])[0]:
+            if are_free(reached[i : i + 1])[0]:
                 best, meeting = float(length[i]), int(reached[i])
     expanded, judged = sum(search.expanded for search in searches), int((known > 0).sum())
     if meeting < 0:
@@ -128,26 +141,38 @@ class _Search:
     """A search from a root towards a goal: the cost of each node that was reached, and by which of the offsets; and those that
     are open, in bins by f, so that many are put in and taken out at once."""
 
-    def __init__(self, grid: Grid, root: int, goal: int, weight: float, euclidean: bool):
+    def __init__(
+        self,
+        grid: Grid,
+        root: int,
+        goal: int,
+        weight: float,
+        euclidean: bool,
+        are_free: Callable[[np.ndarray], np.ndarray],
+        early: bool,
+        farthest: bool,
+    ):
         self.grid, self.goal, self.weight, self.euclidean = grid, grid.places(np.array([goal]))[0], weight, euclidean
+        self.are_free, self.early, self.farthest, self.target, self.arrived = are_free, early, farthest, goal, False
         self.offsets = grid.offsets
         self.prices = np.linalg.norm(self.offsets * grid.steps, axis=1)
         self.cost = np.full(int(np.prod(grid.shape)), np.inf, np.float64)
         self.by = np.full(len(self.cost), -1, np.int16)
         self.width, self.bins, self.expanded = float(grid.steps.min()), dict[int, list[Any]](), 0
         self.cost[root] = 0.0
-        self._put(np.array([root]))
+        self._put(self._kept(np.array([root])))
 
     @property
     def least(self) -> float:
         """A lower bound of the open nodes' f."""
         return min(self.bins) * self.width if self.bins else np.inf
 
-    def expand(self, judge: Callable[[np.ndarray], np.ndarray], batch: int) -> np.ndarray:
+    def expand(self, batch: int) -> np.ndarray:
         """The best open nodes, if they are free; what is reached from them at less cost than before."""
         nodes = self._take(batch)
         self.expanded += len(nodes)
-        nodes = nodes[judge(nodes)]
+        self.arrived |= bool((nodes == self.target).any())
+        nodes = nodes[self.are_free(nodes)]
         places = self.grid.places(nodes)[:, None] + self.offsets
         inside = np.all((places >= 0) & (places < self.grid.shape), axis=2)
         which = np.broadcast_to(np.arange(len(self.offsets)), inside.shape)[inside]
@@ -156,7 +181,7 @@ class _Search:
         order = np.argsort(-cost, kind="stable")  # of several ways to a node the last to be written is the cheapest
         order = order[cost[order] < self.cost[reached[order]] - 1e-9 * self.width]
         self.cost[reached[order]], self.by[reached[order]] = cost[order], which[order]
-        new = np.unique(reached[order])
+        new = self._kept(np.unique(reached[order]))
         self._put(new)
         return new
 
@@ -169,6 +194,10 @@ class _Search:
             found.append(node)
         return found
 
+    def _kept(self, nodes: np.ndarray) -> np.ndarray:
+        """The nodes among these that may be open."""
+        return nodes[self.are_free(nodes)] if self.early else nodes
+
     def _put(self, nodes: np.ndarray) -> None:
         away = np.abs(self.grid.places(nodes) - self.goal)
         left = np.linalg.norm(away * self.grid.steps, axis=1) if self.euclidean else self.grid.without_obstacles(away)
@@ -180,13 +209,14 @@ class _Search:
             self.bins.setdefault(int(each), []).append((nodes[part], cost[part], f[part]))
 
     def _take(self, count: int) -> np.ndarray:
-        """The nodes with the least f, of these those that are nearest to the goal; what was reached again since is left out."""
+        """The nodes with the least f, of these those that are nearest to (or farthest from) the goal; what was reached again
+        since is left out."""
         while self.bins:
             first = min(self.bins)
             nodes, cost, f = (np.concatenate(column) for column in zip(*self.bins.pop(first), strict=True))
             last = self.cost[nodes] == cost
             nodes, cost, f = nodes[last], cost[last], f[last]
-            order = np.lexsort((-cost, np.round(f / self.width, 6)))
+            order = np.lexsort((cost if self.farthest else -cost, np.round(f / self.width, 6)))
             rest = order[count:]
             if len(rest):
                 self.bins[first] = [(nodes[rest], cost[rest], f[rest])]

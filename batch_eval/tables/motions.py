@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 from tables.words import duration, first_calls
@@ -100,20 +101,47 @@ def planning_markdown(result: dict[str, Any]) -> str:
     )
 
 
+def _is_way(row: Any) -> bool:
+    return isinstance(row, dict) and "length" in row
+
+
 def astar_markdown(result: dict[str, Any]) -> str:
-    """Nodes that A* expands, by its direction."""
-    plane, six, paper = result["figure_7"], result["six_joints"], result["paper"]
+    """Nodes that A* takes, by its rule, its direction and its ties; and what surfaces cost in its collision test."""
+    plane, near, printed, six = result["figure_7"], result["found"], result["printed"], result["six_joints"]
     lines = [
-        f"| A* | two joints, 5 degrees, one by one | 256 at once | the paper's row | six joints, {six['degrees']:g} degrees |",
-        "| --- | --- | --- | --- | --- |",
+        "| A* | printed | found scene, printed rule | stems every 40 cm, printed rule | judged when expanded | 256 at once | "
+        f"six joints, {six['degrees']:g} degrees |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for direction in ("forward", "backward", "both"):
-        each, batch = (plane[f"{direction}, {how}"] for how in ("one by one", "in batches"))
-        plain, many = (f"{row['expanded']} nodes, {row['ms']:.0f} ms" for row in (each, batch))
+        theirs = printed.get(f"{direction}_iterations", "-")
+        by_ties = ["-", "-"]
+        if direction != "both":
+            names = [f"{direction}, as printed{ties}" for ties in ("", ", farthest of ties")]
+            by_ties = [" to ".join(str(scene[name]["expanded"]) for name in names) for scene in (near, plane)]
+        rows = (plane[f"{direction}, {how}"] for how in ("judged when expanded", "in batches"))
+        late, many = (f"{row['expanded']} nodes, {row['ms']:.0f} ms" for row in rows)
         large = f"{six[direction]['expanded']:,} nodes, {six[direction]['s']:.1f} s"
-        lines.append(f"| {direction} | {plain} | {many} | {paper.get(direction, '-')} | {large} |")
-    longest = max(abs(row["length"] - plane["dijkstra"]) for row in plane.values() if isinstance(row, dict))
-    return "\n".join([*lines, "", f"Every way on the plane is as long as Dijkstra's, to {longest:.0e} rad."])
+        lines.append(f"| {direction} | {theirs} | {by_ties[0]} | {by_ties[1]} | {late} | {many} | {large} |")
+    longest = max(abs(row["length"] - each["dijkstra"]) for each in (plane, near) for row in each.values() if _is_way(row))
+    found, cost, figure = result["search"], result["surfaces"], result["figure_8"]
+    fine, boxes = cost["rows"]["triangles"], cost["rows"]["boxes"]
+    seven = figure["seven"]["forward"]
+    words = [
+        f"Every way on the plane is as long as Dijkstra's, to {longest:.0e} rad. Of two numbers in a cell the first takes, "
+        "among equals, the node nearest to the goal, the second the farthest. The found scene is the nearest to the printed "
+        f"counts of {found['looked_at']:,} that fit the paper's words ({found['drawn']:,} draws at random, then steps beside "
+        f"the best); of those at random backward saves {100 * found['reduction_quartiles'][1]:.0f} % in the median. The P6R "
+        f"between stems alone (fig. 8): six joints {figure['six']['forward']['s']:.1f} s, seven {seven['s']:.1f} s "
+        f"({figure['seven']['degrees']:g} degrees and {100 * figure['seven']['slide_m']:g} cm).",
+        f"Edges against surfaces, the P6R's six links among five stems: {fine['surfaces']} triangles {duration(fine['us'])}, "
+        f"{boxes['surfaces']} rectangles {duration(boxes['us'])}, factor {cost['factor']:.1f}; in a loop of an interpreter "
+        f"{cost['factor_in_a_loop']:.1f}; there are {cost['fewer_surfaces']:.1f} times fewer surfaces (printed: "
+        f"{printed['surfaces_factor']:g}).",
+    ]
+    for each in words:
+        lines += ["", textwrap.fill(each, 128)]
+    return "\n".join(lines)
 
 
 def peppers_markdown(result: dict[str, Any]) -> str:

@@ -4,10 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from astar import ROW
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from papers.grid_planner import plan_on_grid
-from papers.grid_search import Grid, shortest
+from papers.grid_search import JUDGED, TIES, Grid, shortest
+from papers.stem_scenes import GRID, bounds, posed, shortest_ways
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
@@ -46,8 +48,10 @@ def test_as_short_as_dijkstra(seed):
     grid, blocked, start, goal, free = _random(seed)
     best = _dijkstra(grid, blocked, start)[goal]
     for both in (False, True):
-        for batch, weight, straight in ((1, 1.0, True), (1, 1.0, False), (7, 1.0, False), (1, 1.5, False), (64, 3.0, True)):
-            found = shortest(grid, free, start, goal, both, weight, straight, batch)
+        for i, how in enumerate(((1, 1.0, True), (1, 1.0, False), (7, 1.0, False), (1, 1.5, False), (64, 3.0, True))):
+            batch, weight, straight = how
+            asked = {"judge": JUDGED[(seed + i) % 2], "ties": TIES[(seed // 2 + i) % 2]}
+            found = shortest(grid, free, start, goal, both, weight, straight, batch, **asked)
             assert (found.nodes is None) == np.isinf(best) and found.complete
             if found.nodes is not None:
                 q = grid.configurations(found.nodes)
@@ -56,8 +60,77 @@ def test_as_short_as_dijkstra(seed):
                 assert best - 1e-9 <= found.length <= weight * best + 1e-9
 
 
+ORDERS = {  # of open entries (f, h, when); the least is taken
+    "first in": lambda f, h, when: (f, when),
+    "last in": lambda f, h, when: (f, -when),
+    "nearest": lambda f, h, when: (f, h, when),
+    "farthest": lambda f, h, when: (f, -h, when),
+}
+
+
+def _pearl(free, start, goal, order):
+    """Iterations and length [steps] of Pearl's five steps with orthogonal successors, as printed (sec. 4.3.1): dictionaries and
+    a scan of OPEN, no heap; what collides is omitted from OPEN. f is rounded, so that equal is equal."""
+    h = lambda node: float(np.hypot(node[0] - goal[0], node[1] - goal[1]))
+    entry = lambda node, g, when: order(round(g + h(node), 9), round(h(node), 9), when)
+    open_, closed, cost, iterations, when = {start: entry(start, 0, 0)}, set(), {start: 0}, 0, 0  # step 1
+    while open_:  # step 2
+        node = min(open_, key=open_.get)
+        del open_[node]
+        closed.add(node)
+        iterations += 1
+        if node == goal:  # step 3
+            return iterations, cost[node]
+        for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):  # step 4
+            after, when = (node[0] + step[0], node[1] + step[1]), when + 1
+            inside = 0 <= after[0] < free.shape[0] and 0 <= after[1] < free.shape[1]
+            if inside and free[after] and cost[node] + 1 < cost.get(after, np.inf):
+                cost[after] = cost[node] + 1
+                closed.discard(after)
+                open_[after] = entry(after, cost[after], when)
+    return iterations, np.inf
+
+
+def test_iterations_by_the_printed_rule():
+    """On the stems of `batch_eval/astar.py`: ties decide between 256 and 260 forward, 62 and 80 backward, goal included."""
+    one = posed(ROW)
+    free = ~one.hits.reshape(GRID.shape)
+    ends = [tuple(np.unravel_index(node, GRID.shape)) for node in (one.start, one.goal)]
+    for backward, counts in ((False, (260, 256, 256, 260)), (True, (80, 62, 62, 80))):
+        start, goal = ends[::-1] if backward else ends
+        found = {name: _pearl(free, start, goal, order) for name, order in ORDERS.items()}
+        assert tuple(each[0] for each in found.values()) == counts
+        assert {each[1] for each in found.values()} == {shortest_ways(one.hits, [one.start])[0][one.goal]}
+        for ties in ("nearest", "farthest"):
+            assert one.iterations(backward, ties) == found[ties][0]
+        np.testing.assert_array_equal(bounds(one)[:, int(backward)], (counts[1] - 1, counts[0]))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6))
+def test_as_many_iterations_as_pearl(seed):
+    """Ties of ties are broken otherwise; no tie decides on what the shortest way is longer than."""
+    rng = np.random.default_rng(seed)
+    shape = tuple(int(k) for k in rng.integers(3, 20, 2))
+    free = rng.random(shape) > rng.choice([0.0, 0.2, 0.4])
+    start, goal = (tuple(int(rng.integers(k)) for k in shape) for _ in range(2))
+    free[start] = free[goal] = True
+    grid, places = Grid(np.zeros(2), np.ones(2), shape), lambda q: tuple(np.round(q).astype(int).T)
+    count, length = _pearl(free, start, goal, ORDERS["nearest"])
+    ends = (int(np.ravel_multi_index(node, shape)) for node in (start, goal))
+    way = shortest(grid, lambda q: free[places(q)], *ends, euclidean=True, judge="reached")
+    assert way.length == pytest.approx(length)
+    reached = _dijkstra(grid, ~free.ravel(), int(np.ravel_multi_index(start, shape)))
+    f = reached + np.linalg.norm(grid.places(np.arange(free.size)) - goal, axis=1)
+    if np.isfinite(length):
+        least, most = int((f < length - 1e-9).sum()) + 1, int((f <= length + 1e-9).sum())
+        assert least <= count <= most and least <= way.expanded <= most
+    else:
+        assert count == way.expanded == np.isfinite(f).sum()
+
+
 def test_nodes_are_judged_when_they_are_expanded():
-    """Nodes are judged as in the paper; and a search gives up where it is told to."""
+    """Nodes are judged late; and a search gives up where it is told to."""
     grid = Grid(np.zeros(2), np.ones(2), (30, 30))
     asked = []
 
@@ -137,6 +210,8 @@ def test_no_way_is_proven_and_a_budget_is_kept():
         ({"step": 0.0}, "step of shape"),
         ({"step": 1e-5}, "nodes; allowed"),
         ({"direction": "up"}, "direction 'up'"),
+        ({"judge": "later"}, "judge 'later'"),
+        ({"ties": "random"}, "ties 'random'"),
         ({"weight": 0.5}, "weight is 0.5"),
         ({"batch": 0}, "batch is 0"),
         ({"most": 0}, "most is 0"),
