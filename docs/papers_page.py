@@ -48,6 +48,11 @@ def written(place: re.Match[str]) -> str:
     return ", ".join(map(scaled, found)) if isinstance(found, list) else scaled(found)
 
 
+def studies() -> set[str]:
+    """The studies that the page tells of."""
+    return {name for name, *_ in PLACE.findall(TEMPLATE.read_text())}
+
+
 def page() -> str:
     """The whole page."""
     return PLACE.sub(written, TEMPLATE.read_text())

@@ -3,6 +3,7 @@
 import re
 
 import benchmarks
+import papers_page
 import public
 import pytest
 from report import HERE, TABLES
@@ -16,8 +17,12 @@ def test_figures_come_from_the_benchmarks(page):
     assert benchmarks.named(text) and benchmarks.filled(text) == text, "run python docs/benchmarks.py"
 
 
+def test_figures_of_the_papers_come_from_the_studies():
+    assert papers_page.PAGE.read_text() == papers_page.page(), "run python docs/papers_page.py"
+
+
 def test_every_benchmark_has_its_result_and_its_place():
-    assert {p.name for p in HERE.glob("*.json")} == set(TABLES)
+    assert {p.name for p in HERE.glob("*.json")} == set(TABLES) | {f"{name}.json" for name in papers_page.studies()}
     assert set(benchmarks.named((DOCS / "benchmarks.md").read_text())) == {*TABLES, "overview"}
 
 
