@@ -1,17 +1,19 @@
-"""The baselines of `solve_ik`: the textbook iterations and the papers' global search.
+"""The baselines of `solve_ik`: the textbook iterations and the papers' global searches.
 
-Each does what its source says, no more. The iterations know no limits and no obstacles; the search knows both through its
-penalty, and ends where it stands.
+Each does what its source says, no more. The iterations know no limits and no obstacles; the searches know both through
+their objective, and end where they stand.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from papers.harvest_costs import box_penalty, link_circles
+from papers.evolution import Evolved
+from papers.harvest_costs import MILLIMETRE, box_penalty, harvest_cost, link_circles
 from papers.newton import Root, damped_least_squares, newton_raphson
 from scipy.optimize import differential_evolution
 
@@ -68,28 +70,23 @@ class Searched(NamedTuple):
 def global_search(
     robot: jaxik.Robot,
     target: Any,
-    scene: jaxik.Scene | None = None,
     boxes: tuple[np.ndarray, np.ndarray] | None = None,
     task: jaxik.Task = POSE,
     seed: int = 0,
     generations: int = 1000,
     population: int = 15,
 ) -> Searched:
-    """Differential evolution inside the limits over `J = |p - p*|^2 + |rotation|^2 + J_dist + 100 C`.
+    """Differential evolution inside the limits over `J = |p - p*|^2 + |rotation|^2 + 100 C`, sums of squares [m2, rad2];
+    by scipy, evaluated a generation at a time.
 
-    `J_dist` is the proximity to `scene` [Van Henten et al. 2010, (6)], C the number of axis-parallel `boxes` (lower and upper
-    corners (b, 3) in the world [m]) that hold a point of the cylindrical links [IJE 2022, (7)]. It stands for the papers'
-    genetic algorithm; by scipy, evaluated a generation at a time.
+    C is the number of axis-parallel `boxes` (lower and upper corners (b, 3) in the world [m]) that hold a point of the
+    cylindrical links [IJE 2022, (4) to (7)].
     """
     missed = residual(robot, target, task)
 
     def objective(q: Any) -> Any:
         total = jnp.sum(missed(q) ** 2)
-        if scene is not None:
-            total += jnp.minimum(jaxik.costs.collision_cost(jaxik.clearance(robot, scene, q), activation=0.075, order=1), 1.0)
-        if boxes is not None:
-            total += box_penalty(link_circles(robot, q), *boxes)
-        return total
+        return total if boxes is None else total + box_penalty(link_circles(robot, q), *boxes)
 
     each, looked = HostKernel(objective, 1), 0
 
@@ -102,3 +99,35 @@ def global_search(
     plain = {"vectorized": True, "updating": "deferred", "polish": False, "tol": 0.0, "atol": 0.0}
     found = differential_evolution(evaluate, bounds, rng=rng, maxiter=generations, popsize=population, **plain)
     return Searched(found.x, float(found.fun), looked)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# The search of Van Henten et al. 2010, sec. 3
+
+
+def harvest_objective(
+    robot: jaxik.Robot, scene: jaxik.Scene, fruit: jaxik.collision.Mark, unit: float = MILLIMETRE
+) -> HostKernel:
+    """The kernel of J [Van Henten et al. 2010, (3) to (6)] by rows of q (b, n), positions counted in `unit` [m].
+
+    D is the distance to the scene, in which the fruit itself is no obstacle; it is 0 where the robot hits itself, which the
+    text names among what must not be hit. Rotations are those in the world, where the fruit hangs: (5) then leaves the
+    rotation about the fruit's axis free, as the text says.
+    """
+    others = scene.without([name for name in scene.object_names if name == fruit.name])
+    through = dataclasses.replace(robot, self_pairs=())  # of which the scene alone is looked at
+
+    def objective(q: Any) -> Any:
+        tip = jnp.asarray(robot.world_T_base, q.dtype) @ jaxik.forward_kinematics(robot, q)
+        apart = jaxik.clearance(through, others, q)
+        distance = jnp.where(jaxik.clearance(robot, None, q) > 0.0, apart, 0.0)
+        return harvest_cost(tip, jnp.asarray(fruit.position, q.dtype), distance, unit)
+
+    return HostKernel(objective, 1)
+
+
+def evolved(
+    how: Callable[..., Evolved], each: HostKernel, robot: jaxik.Robot, seeds: Sequence[int], generations: int, **more: Any
+) -> Evolved:
+    """Minimises a kernel of one configuration inside the limits, once for each seed, by `genetic` or `differential`."""
+    return how(lambda q: each.run(q, double=True)[0], *robot.finite_limits, seeds, generations, **more)

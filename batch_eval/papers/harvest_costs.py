@@ -10,20 +10,45 @@ import numpy as np
 
 import jaxik
 
+REACH_M = 0.075  # beyond which an obstacle costs nothing [Van Henten et al. 2010, (6)]
+MILLIMETRE = 1e-3  # in which (6) has its distances, and (4) none named
+
 
 def position_cost(position: Any, target: Any) -> jax.Array:
-    """`J_pos = |p_target - p|^2` [m2] of (3,), (3,). Source: Van Henten et al. 2010, (4); the sum of squares, as IJE 2022, (6)
-    has it."""
+    """`|p_target - p|^2` [m2] of (3,), (3,). Source: IJE 2022, (6); Van Henten et al. 2010 have its root (`harvest_cost`)."""
     return jnp.sum((jnp.asarray(target) - jnp.asarray(position)) ** 2)
 
 
-def harvest_orientation_cost(rotation: Any) -> jax.Array:
-    """`J_ori = r11^2 + r21^2 + (1 + r31)^2 + r32^2 + r33^2` of (3, 3): 0 if the tool's x-axis is the base's -z.
+def harvest_position_cost(position: Any, target: Any, unit: float = MILLIMETRE) -> jax.Array:
+    """`J_pos = sqrt((px* - px)^2 + (py* - py)^2 + (pz* - pz)^2)` of (3,), (3,) [m], counted in `unit` [m].
 
-    Source: Van Henten et al. 2010, (5). The rotation about base z stays free.
+    Source: Van Henten et al. 2010, (4). It has no gradient at 0: for search, not for descent.
+    """
+    return jnp.sqrt(position_cost(position, target)) / unit
+
+
+def harvest_orientation_cost(rotation: Any) -> jax.Array:
+    """`J_ori = sqrt(r11^2 + r21^2 + (1 + r31)^2 + r32^2 + r33^2)` of (3, 3): 0 if the tool's x-axis is the frame's -z.
+
+    Source: Van Henten et al. 2010, (5). The rotation about that frame's z stays free. It has no gradient at 0.
     """
     r = jnp.asarray(rotation)
-    return r[0, 0] ** 2 + r[1, 0] ** 2 + (1.0 + r[2, 0]) ** 2 + r[2, 1] ** 2 + r[2, 2] ** 2
+    return jnp.sqrt(r[0, 0] ** 2 + r[1, 0] ** 2 + (1.0 + r[2, 0]) ** 2 + r[2, 1] ** 2 + r[2, 2] ** 2)
+
+
+def proximity_cost(distance: Any) -> jax.Array:
+    """`J_dist`: 1 in contact, `1 - D / 75 mm` of a distance D [m], 0 beyond. Source: Van Henten et al. 2010, (6)."""
+    return jnp.clip(1.0 - jnp.asarray(distance) / REACH_M, 0.0, 1.0)
+
+
+def harvest_cost(world_T_tip: Any, target: Any, distance: Any, unit: float = MILLIMETRE) -> jax.Array:
+    """`J = J_pos + J_ori + J_dist`, unweighted as printed, of a tip (4, 4) in the z-up world and its distance to obstacles [m].
+
+    Source: Van Henten et al. 2010, (3).
+    """
+    tip = jnp.asarray(world_T_tip)
+    off = harvest_position_cost(tip[:3, 3], target, unit) + harvest_orientation_cost(tip[:3, :3])
+    return off + proximity_cost(distance)
 
 
 def box_penalty(points: Any, lower: Any, upper: Any, penalty: float = 100.0) -> jax.Array:

@@ -2,13 +2,33 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 import jaxik
+from jaxik.spmd import HostKernel
+
+
+def hand_of(robot: jaxik.Robot) -> jaxik.Robot:
+    """The last three links by themselves, which may pass through each other: they do not move."""
+    return dataclasses.replace(robot.part(robot.num_joints - 3, robot.num_joints), self_pairs=())
+
+
+def hand_frames(robot: jaxik.Robot, fruit: jaxik.collision.Mark, angles: Any) -> np.ndarray:
+    """Where the last three links stand, `world_T_base` (a, 4, 4) of `hand_of`, straight, their tip at the fruit."""
+    hand = hand_of(robot)
+    straight = np.asarray(jaxik.forward_kinematics(hand, np.zeros(hand.num_joints)), np.float64)
+    return jaxik.harvesting.Grasp().frames(fruit, angles) @ np.linalg.inv(straight)
+
+
+@functools.lru_cache(maxsize=32)
+def _hand_clearance(robot: jaxik.Robot, scene: jaxik.Scene, fruit: str) -> HostKernel:
+    hand, others = hand_of(robot), scene.without([name for name in scene.object_names if name == fruit])
+    rest = np.zeros(hand.num_joints)
+    return HostKernel(lambda frame: jaxik.clearance(hand.mounted(frame), others, rest), 1)
 
 
 def approach_angles(
@@ -19,29 +39,28 @@ def approach_angles(
     Source: sec. 4.1, step 1.
     """
     at = -np.pi + 2.0 * np.pi * np.arange(angles) / angles
-    hand = robot.part(robot.num_joints - 3, robot.num_joints)
-    rest = np.zeros(hand.num_joints)
-    straight = hand.joint_T_tip
-    for frame in hand.parent_T_joint[::-1]:
-        straight = frame @ straight
-    placed = jaxik.harvesting.Grasp().frames(fruit, at) @ np.linalg.inv(straight)
-    others = scene.without([name for name in scene.object_names if name == fruit.name])
-    each = jax.vmap(lambda frame: jnp.min(jaxik.collision.object_clearances(hand.mounted(frame), others, rest)))
-    distance = np.asarray(jax.jit(each)(placed))
+    distance = _hand_clearance(robot, scene, fruit.name)(hand_frames(robot, fruit, at))[0]
     order = np.argsort(-distance, kind="stable")
     return at[order], distance[order]
 
 
 def scan_two_step(
-    robot: jaxik.Robot, scene: jaxik.Scene, fruit: jaxik.collision.Mark, angles: int = 72, slides: Any = 41, margin: float = 0.0
+    robot: jaxik.Robot,
+    scene: jaxik.Scene,
+    fruit: jaxik.collision.Mark,
+    angles: int = 72,
+    slides: Any = 41,
+    margin: float = 0.0,
+    tries: int | None = None,
 ) -> tuple[jaxik.harvesting.ScanResult, int]:
-    """Both steps, with the recovery that the paper lacks: if the best angle has no posture the next one is taken.
+    """Both steps, with the recovery that sec. 4.3 leaves open: if the best angle has no posture the next one is taken.
 
-    Returns the scan of the first angle that has one (else of the best angle) and how many angles were tried.
+    Returns the scan of the first angle that has one (else of the best angle) and how many angles were tried, `tries` at most:
+    1 is the method as printed.
     """
     order, _ = approach_angles(robot, scene, fruit, angles)
     scans = []
-    for angle in order:
+    for angle in order[:tries]:
         scans.append(jaxik.harvesting.scan(robot, scene, fruit, angles=[angle], slides=slides, margin=margin))
         if scans[-1]:
             return scans[-1], len(scans)

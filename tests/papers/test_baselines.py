@@ -4,12 +4,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from papers.baselines import global_search, newton_ik
+from papers.baselines import evolved, global_search, harvest_objective, newton_ik
+from papers.evolution import differential, genetic
 from papers.harvest_costs import box_penalty
 from papers.newton import damped_least_squares, newton_raphson
 from papers.trellises import TRELLIS_TARGETS, trellis_crop
+from printed_criterion import printed_cost
 from robots import bare, pinocchio, pose_errors
 from scipy.optimize import root
+from setups.greenhouse import greenhouse
 
 import jaxik
 
@@ -48,6 +51,51 @@ def test_the_global_search_lowers_its_objective_inside_the_limits():
     assert np.all((many.q >= robot.lower) & (many.q <= robot.upper))
     away = pinocchio(robot)(many.q)[:3, 3] - target[:3, 3]
     np.testing.assert_allclose(away @ away, many.objective, rtol=1e-6)
+
+
+P6R = jaxik.load("p6r")
+
+
+def tips_in_the_world(postures):
+    pose = pinocchio(P6R)
+    return np.stack([P6R.world_T_base @ pose(q) for q in postures])
+
+
+@pytest.mark.parametrize("kind", ["open", "dense"])
+def test_the_objective_among_leaves_is_the_printed_one(kind):
+    scene = greenhouse(kind)
+    fruit, leaves = scene.marks[0], np.asarray(scene.points.center)
+    found = jaxik.harvesting.scan(P6R, scene, fruit, angles=12, slides=5)
+    rng = np.random.default_rng(0)
+    q = np.concatenate([found.table.q[:20], rng.uniform(P6R.lower, P6R.upper, (20, 7))]).astype(np.float64)
+    ours = harvest_objective(P6R, scene, fruit).run(q, double=True)[0]
+    for each, tip, value in zip(q, tips_in_the_world(q), ours, strict=True):
+        with jax.enable_x64(True):
+            centres, radii = jaxik.collision.robot_spheres(P6R, jnp.asarray(each))
+            itself = float(jaxik.clearance(P6R, None, jnp.asarray(each)))
+        apart = np.linalg.norm(np.asarray(centres)[:, None] - leaves, axis=-1) - np.asarray(radii)[:, None]
+        distance = float(np.min(apart) - scene.points.radius)
+        clear = 1000.0 * max(distance, 0.0) if itself > 0.0 else 0.0
+        assert value == pytest.approx(printed_cost(tip, fruit.position, clear), abs=1e-6)
+
+
+@pytest.mark.parametrize("how", [genetic, differential])
+def test_the_search_over_the_printed_criterion_keeps_the_tip_on_the_fruit(how):
+    scene = greenhouse("dense")  # where a criterion in square metres gave 376 mm away for clearance
+    fruit = scene.marks[0]
+    found = evolved(how, harvest_objective(P6R, scene, fruit), P6R, range(10), 400)
+    away = np.linalg.norm(tips_in_the_world(found.x)[:, :3, 3] - fruit.position, axis=1)
+    assert away.max() <= 1e-3 and np.all((found.x >= P6R.lower) & (found.x <= P6R.upper))
+
+
+def test_differential_evolution_brings_all_of_it_to_zero_where_there_is_room():
+    scene = greenhouse("open")
+    fruit = scene.marks[0]
+    found = evolved(differential, harvest_objective(P6R, scene, fruit, unit=0.01), P6R, range(10), 700)
+    tips = tips_in_the_world(found.x)
+    assert np.linalg.norm(tips[:, :3, 3] - fruit.position, axis=1).max() <= 1e-4
+    assert np.abs(tips[:, :3, 0] - [0.0, 0.0, -1.0]).max() <= 1e-2  # upright
+    assert found.objective.max() <= 0.0099359  # the worse of the two that are printed
 
 
 @pytest.mark.parametrize("kind", TRELLIS_TARGETS)
