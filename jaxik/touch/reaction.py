@@ -47,6 +47,7 @@ from jaxik.spmd import Stepped
 from jaxik.touch.force_law import Butterworth, ForceLaw, LawState, StiffnessEstimator, StiffnessState
 
 Scheme = Literal["baseline", "rmrc", "rac", "feedback", "task", "joint", "multi"]
+Counted = Literal["excess", "whole"]
 LOST = 0.1  # [s] without a force: a contact that comes back sooner, as after a bounce, is the same one
 SUDDEN = 1.0  # [N] above the threshold: a force that begins with more was there before it was shown
 USED_UP = 0.02  # of k_n + k_t: below it a space's share is not enough to be divided by
@@ -107,6 +108,9 @@ class Reaction(Options, Stepped, who="reaction", eq=False):
     weights: tuple[float, ...] | None = per_joint(words="W of the joints", lone=False)
     scale: float = number(default=1.0, least=0.0, words="zeta of the elastic potential (rmrc, rac)")
     threshold: float = number(default=1.3, unit="N", least=0.0, words="F_th")
+    counted: Counted = choice(
+        default="excess", kinds=Counted, words="of a force above its threshold, by the laws of (4.47): what exceeds it, or all"
+    )
     relaxation: float = number(default=5.0, unit="N", least=0.0, words="F_min, above which the task gives way (multi)")
     time_constant: float = number(default=0.5, unit="s", least=1e-9, words="T of the force's target dynamics")
     damping_ratio: float = number(default=0.5, least=1e-9, words="d of these")
@@ -259,6 +263,7 @@ class Reaction(Options, Stepped, who="reaction", eq=False):
         away = at.inverse * a
         null = at.resolved(jnp.zeros(len(at.rows)), away).rate
         above, law, task_law, total = felt - self.threshold, state.law, state.task_law, free
+        counted = lambda least: felt - least if self.counted == "excess" else jnp.where(felt > least, felt, 0.0)
 
         def gives_way(law: LawState, force: Any, along: Any, helping: bool = False) -> tuple[Any, LawState]:
             """`total`, and more `along` (n,) as the law asks, and the law after it; `helping`, or below its threshold, only
@@ -273,9 +278,9 @@ class Reaction(Options, Stepped, who="reaction", eq=False):
         if self.scheme == "rmrc":
             total = free + _bounded(self.scale * jnp.maximum(above, 0.0) * null, self.rate)
         elif self.scheme != "baseline":
-            total, law = gives_way(law, above, {"task": away - null, "joint": away}.get(self.scheme, null))
+            total, law = gives_way(law, counted(self.threshold), {"task": away - null, "joint": away}.get(self.scheme, null))
         if self.scheme == "multi":
-            total, task_law = gives_way(task_law, felt - self.relaxation, away - null, helping=True)
+            total, task_law = gives_way(task_law, counted(self.relaxation), away - null, helping=True)
         box = self._limits.rates(at.q, state.rate, self.dt)
         return self._inside(at, at.rows @ total, total, box), (law, task_law)
 
