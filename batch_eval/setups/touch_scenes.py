@@ -12,6 +12,7 @@ import functools
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import jaxik
@@ -38,11 +39,12 @@ def model() -> jaxik.Robot:
 def cost(joint_limits: float, self_collision: float) -> Any:
     """The secondary objective (4.24), of (4.28) with table 4.1's soft limits and (4.31) with a maximum of 1."""
     robot = dataclasses.replace(model(), self_pairs=PAIRS)
-    soft = np.r_[0.3, np.full(8, np.radians(30.0))] / (robot.upper - robot.lower)
+    soft = np.r_[0.3, np.full(8, np.radians(30.0))]  # [m, rad] inside the limits
 
     def both(q: Any) -> Any:
         near = jaxik.costs.collision_cost(jaxik.clearance(robot, None, q), activation=NEAR)
-        return joint_limits * jaxik.costs.joint_limit_cost(robot, q, soft=soft) + self_collision * near
+        beyond = jnp.maximum(jnp.maximum(robot.lower + soft - q, q - robot.upper + soft), 0.0) / soft
+        return joint_limits * jnp.sum(beyond**3) + self_collision * near
 
     return both
 
