@@ -2,11 +2,10 @@
 
 `crops_v2` follows table 4.1's straight lines with the tip's position as its task; a vertical wall of springs, as stiff as the
 thesis' latex band, stands in the way of link 4. Where the band stood and how the arm began is not printed. Both are ours: a
-posture, found among 128 random ones, in which the null space is enough for the first line and not for the second, and the wall
-where the baseline comes to 9.6 N. The low pass, the sensor (1.3 to 20 N, a reading in 4 ms), thresholds and gains are table
-4.1's; the laws behind the estimator and the transitions are ours. The cost is joint limits alone, with table 4.1's soft limits;
-its self-collision term is left out, since neighbouring stand-in capsules of crops_v2 are 15 mm apart whatever it does. The arm
-follows its rates exactly.
+scene in which the text's course of every figure comes about, found in an earlier draw of the kind that `setups/touch_scenes.py`
+makes; the study counts how rare such scenes are. The low pass, the
+sensor (1.3 to 20 N, a reading in 4 ms), thresholds, factors and gains are table 4.1's; the laws behind the estimator and the
+transitions are ours. The arm follows its rates exactly.
 """
 
 from __future__ import annotations
@@ -15,6 +14,8 @@ import argparse
 import functools
 import json
 import time
+import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,107 +24,118 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 from race import machine
+from setups.touch_scenes import (
+    BEGIN,
+    DT,
+    LINES,
+    LINK,
+    MIDDLE,
+    STIFFNESS,
+    WEIGHTS,
+    Scenes,
+    begin,
+    fall,
+    model,
+    reaction,
+    search,
+    simulated,
+)
 
 import jaxik
 from jaxik.dynamics import PointForce, material_point
 from jaxik.motions import Line
 from jaxik.spmd import ControlLoop
-from jaxik.touch import (
-    Encounter,
-    Reaction,
-    ReactionResult,
-    SpringContact,
-    StiffnessEstimator,
-    TouchSensor,
-    simulate_reaction,
-)
+from jaxik.touch import Encounter, Reaction, ReactionResult, SpringContact, StiffnessEstimator, TouchSensor, simulate_reaction
 
-DT, WEIGHTS = 1e-3, (10.0, 1.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.5, 1.0)
-POSTURE = np.array([0.7, 0.3, 0.5, 0.4, -1.2, 0.1, 0.1, 0.0, 0.2])  # near which the arm begins
-BEGIN = [-0.30, 1.30, 1.1]
-SCENES = {"avoidable": ([0.40, 1.0, 1.1], 6.0, 15.0), "inevitable": ([0.75, 1.0, 1.1], 9.0, 25.0)}  # end, duration, measured
-LINK, MIDDLE = 4, np.array([0.175, 0.0, -0.03])  # between revolute joints 4 and 5
-STIFFNESS, REACHED = 60.0, 9.6  # [N/m], the baseline's force [N]
+POSTURE = np.array([0.66, 0.06, -0.87, -0.76, 0.78, 1.24, 0.93, -1.23, -1.07])  # near which the arm begins
+POINT, NORMAL = np.array([0.117, 0.636, 0.918]), np.array([-0.97, 0.241, 0.0])
+EVERY = 20  # samples between two that are kept
+SEARCHED = 480  # postures of the search for scenes
 DRAWN, CONTACTS, LANES, STEPS = 25_000, 10_000, 250, 3000
+SCHEMES: dict[str, tuple[str, dict[str, Any]]] = {
+    **{name: (name, {}) for name in ("baseline", "rmrc", "rac", "feedback", "multi", "task", "joint")},
+    "rac, gradients times dt": ("rac", {"scale": DT}),  # (4.16) to the letter; the damping as (4.22) prints it
+    "feedback, whole force": ("feedback", {"counted": "whole"}),  # (4.47) to the letter
+    "feedback, whole force, nothing forgotten": ("feedback", {"counted": "whole", "fade_time": 1e3, "fade_distance": 1e3}),
+}
 FIGURES = {
-    "fig. 4.6 in kind: avoidable": ("avoidable", ("baseline", "rmrc", "rac")),
-    "fig. 4.7 in kind: avoidable": ("avoidable", ("baseline", "rmrc", "feedback")),
+    "fig. 4.6 in kind: avoidable": ("avoidable", ("baseline", "rmrc", "rac", "rac, gradients times dt")),
+    "fig. 4.7 in kind: avoidable": (
+        "avoidable",
+        ("baseline", "rmrc", "feedback", "feedback, whole force", "feedback, whole force, nothing forgotten"),
+    ),
     "fig. 4.8 in kind: inevitable": ("inevitable", ("baseline", "rmrc", "feedback", "multi")),
     "not in the thesis: inputs of (4.48)": ("avoidable", ("task", "joint", "multi")),
 }
 COLOURS = {"baseline": "0.6", "rmrc": "tab:blue", "rac": "tab:green", "feedback": "goldenrod", "multi": "tab:red"}
+DASHED = {"multi": "tab:red", "rac, gradients times dt": "tab:olive", "feedback, whole force": "tab:brown"}
+DASHED["feedback, whole force, nothing forgotten"] = "tab:purple"
+PRINTED = {  # the text of section 4.3.4 in numbers, and table 4.1
+    "fig_4_6_baseline_above_n": 9.0,
+    "threshold_n": 1.3,
+    "relaxation_n": 5.0,
+    "self_collision_factors": [8.0, 23.0],
+    "joint_limit_factors": [5.0, 20.0],
+    "damping_per_s": 7.0,
+}
 
 
 @functools.cache
-def model() -> jaxik.Robot:
-    return jaxik.load("crops_v2")
+def start() -> np.ndarray:
+    """The posture (9,) whose tip is at the lines' beginning, and in which the cost leaves the arm at rest."""
+    return begin(POSTURE[None])[0]
 
 
-@functools.cache
-def reaction(scheme: str, **changes: Any) -> Reaction:
-    """The reaction of table 4.1; 20 instead of 5 scales joint limits on the acceleration level."""
-    soft = np.r_[0.3, np.full(8, np.radians(30.0))] / (model().upper - model().lower)
-    alpha = 20.0 if scheme == "rac" else 5.0
-    cost = lambda q: jaxik.costs.joint_limit_cost(model(), q, soft=soft)
-    how = {"stiffness": StiffnessEstimator(start=STIFFNESS)} | changes
-    return Reaction(model(), scheme=scheme, weights=WEIGHTS, cost=cost, alpha=alpha, **how)
-
-
-@functools.cache
-def begin() -> np.ndarray:
-    """The posture (9,) whose tip is at the start."""
-    found = jaxik.solve_ik(model(), jaxik.pose(BEGIN), task=jaxik.Task.position(), seeds="near", reference=POSTURE)
-    assert found.success
-    return np.asarray(found.q)
+def wall(stiffness: float = STIFFNESS, point: np.ndarray = POINT) -> SpringContact:
+    return SpringContact(point, NORMAL, stiffness)
 
 
 def path(scene: str) -> Line:
-    return Line(jaxik.pose(BEGIN), jaxik.pose(SCENES[scene][0]))
+    return Line(jaxik.pose(BEGIN), jaxik.pose(LINES[scene][0]))
 
 
 @functools.cache
-def followed(scene: str, scheme: str) -> ReactionResult:
-    _, duration, seconds = SCENES[scene]
-    met = Encounter(wall(), LINK, MIDDLE)
-    run = lambda q: simulate_reaction(
-        reaction(scheme), path(scene), duration, q, met, steps=round(seconds / DT), sensor=TouchSensor()
-    )
-    return jax.tree_util.tree_map(np.asarray, jax.jit(run)(begin()))
+def followed(name: str) -> ReactionResult:
+    """Both scenes (2, t), one program; every 20th sample."""
+    scheme, changes = SCHEMES[name]
+    pair = Scenes(np.tile(start(), (2, 1)), np.tile(POINT, (2, 1)), np.tile(np.asarray(wall().normal), (2, 1)))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*runs by XLA.*")  # so many samples are too many for a kernel
+        return simulated(reaction(scheme, **changes), pair, list(LINES), round(LINES["inevitable"][2] / DT))
 
 
-@functools.cache
-def wall() -> SpringContact:
-    """Across the way of the link's middle, in the horizontal plane, where the baseline ends `REACHED` deep."""
-    nothing = Encounter(SpringContact([100.0, 0.0, 0.0], [-1.0, 0.0, 0.0], 0.0), LINK, MIDDLE)
-    duration = SCENES["avoidable"][1]
-    free = jax.jit(
-        lambda q: simulate_reaction(reaction("baseline"), path("avoidable"), duration, q, nothing, steps=6000).motion.q
-    )
-    q = free(begin())
-    first, last = (np.asarray(material_point(model(), q[k], LINK, MIDDLE)) for k in (0, -1))
-    against = (first - last) * [1.0, 1.0, 0.0]
-    normal = np.round(against / np.linalg.norm(against), 2)
-    return SpringContact(np.round(last + REACHED / STIFFNESS * normal, 3), normal, STIFFNESS)
+def of_scene(name: str, scene: str) -> ReactionResult:
+    """The motion of a scene, as long as the thesis measured it."""
+    k, count = list(LINES).index(scene), round(LINES[scene][2] / DT / EVERY)
+    return jax.tree_util.tree_map(lambda x: x[k, :count], followed(name))
 
 
-def experiments() -> list[dict[str, Any]]:
+def experiments(tell: Callable[[], Any]) -> list[dict[str, Any]]:
     """The figures in numbers."""
     rows = []
-    for scene, scheme in dict.fromkeys((scene, scheme) for scene, schemes in FIGURES.values() for scheme in schemes):
-        found = followed(scene, scheme)
-        hit = int(np.argmax(found.force > 0.0))
-        peak = hit + int(np.argmax(found.force[hit : hit + round(1.5 / DT)]))
+    for scene, name in dict.fromkeys((scene, name) for scene, names in FIGURES.values() for name in names):
+        found = of_scene(name, scene)
+        tell()
+        hit, soon = int(np.argmax(found.force > 0.0)), round(1.5 / DT / EVERY)
+        peak = hit + int(np.argmax(found.force[hit : hit + soon]))
+        after = slice(peak, peak + soon)
+        peaks = fall(found.force)
         rows.append(
             {
                 "scene": scene,
-                "scheme": scheme,
+                "scheme": name,
                 "peak_n": float(found.force.max()),
                 "end_n": float(found.force[-1]),
                 "first_peak_n": float(found.force[peak]),
-                "dip_after_n": float(found.force[peak : peak + round(1.5 / DT)].min()),
+                "dip_after_n": float(found.force[after].min()),
+                "felt_dip_after_n": float(found.felt[after].min()),
+                "falls_from_n": float(peaks[0]),
+                "falls_to_n": float(peaks[1]),
                 "below_2_n_after_s": _settled(found.force[hit:] < 2.0),
+                "half_its_peak_after_s": _settled(found.force[peak:] < 0.5 * found.force[peak]),
                 "peak_rate": float(np.linalg.norm(found.motion.velocity[hit:], axis=1).max()),
                 "task_error_mm": float(1e3 * np.linalg.norm(found.error, axis=1).max()),
+                "clearance_m": apart(found.motion.q),
                 "stiffness_n_m": float(found.stiffness[-1]),
             }
         )
@@ -131,19 +143,33 @@ def experiments() -> list[dict[str, Any]]:
     return rows
 
 
+@functools.cache
+def _clearances() -> tuple[Any, Any]:
+    """The clearance of postures (k, 9) to the arm itself, without the pairs that are always nearer than the cost reaches."""
+    from setups.self_collision import arm
+
+    robot = arm()
+    return robot, jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, None, q)))
+
+
+def apart(q: np.ndarray) -> float:
+    """The least clearance [m] of a motion to itself, of all pairs of links that can part; every fifth posture of it."""
+    return float(_clearances()[1](q[::5]).min())
+
+
 def _settled(inside: np.ndarray) -> float | None:
     """[s] until it stays so."""
     outside = np.flatnonzero(~inside)
     last = int(outside[-1]) + 1 if len(outside) else 0
-    return None if last == len(inside) else last * DT
+    return None if last == len(inside) else last * DT * EVERY
 
 
-def analytic() -> dict[str, float]:
+def analytic(quick: bool = False) -> dict[str, float]:
     """How far feedback linearisation is from F'' + 2 F' + 4 F = 0, a share of the first force: with the stiffness known, twice
     and half as large as believed, and estimated. A contact of 6 N where the line begins, without sensor, threshold, filter."""
     steps, t = 600, DT * np.arange(600)
     exact = np.exp(-t) * (np.cos(np.sqrt(3.0) * t) - np.sin(np.sqrt(3.0) * t) / np.sqrt(3.0))
-    point = np.asarray(material_point(model(), begin(), LINK, MIDDLE))
+    point = np.asarray(material_point(model(), start(), LINK, MIDDLE))
     found = {}
     known, estimated = {"stiffness": STIFFNESS}, {"stiffness": StiffnessEstimator(start=STIFFNESS)}
     for name, how, true in (
@@ -152,10 +178,10 @@ def analytic() -> dict[str, float]:
         ("half as stiff, not known", known, 30.0),
         ("twice as stiff, estimated", estimated, 120.0),
         ("half as stiff, estimated", estimated, 30.0),
-    ):
+    )[: 1 if quick else 5]:
         bare = Reaction(model(), scheme="feedback", weights=WEIGHTS, threshold=0.0, cutoff=None, **how)
-        stiff = SpringContact(point + 6.0 / true * np.asarray(wall().normal), wall().normal, true)
-        given = bare, path("avoidable"), SCENES["avoidable"][1], begin(), Encounter(stiff, LINK, MIDDLE)
+        stiff = wall(true, point + 6.0 / true * np.asarray(wall().normal))
+        given = bare, path("avoidable"), LINES["avoidable"][1], start(), Encounter(stiff, LINK, MIDDLE)
         force = np.asarray(simulate_reaction(*given, steps=steps).force)
         found[name] = float(np.abs(force / force[0] - exact)[: round(0.6 / DT)].max())
     print(found)
@@ -218,7 +244,7 @@ def many(how: Reaction, draws: Draws) -> dict[str, np.ndarray]:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def random_contacts() -> dict[str, Any]:
+def random_contacts(tell: Callable[[], Any]) -> dict[str, Any]:
     """The outcome of ten thousand contacts, by scheme, for those that come above 5 N unless the arm reacts."""
     draws, unopposed = anywhere()
     pushed, rows = unopposed > 5.0, []
@@ -227,6 +253,7 @@ def random_contacts() -> dict[str, Any]:
     for name, how in hows.items():
         begun = time.perf_counter()
         found = many(how, draws)
+        tell()
         seconds = time.perf_counter() - begun
         peak, end, above, error, rate = (found[x][pushed] for x in ("peak", "end", "above", "error", "rate"))
         rows.append(
@@ -249,7 +276,7 @@ def random_contacts() -> dict[str, Any]:
 
 def step_time(count: int = 20_000) -> dict[str, float]:
     """How long a sample of the control loop takes [us]: numbers in, command out."""
-    loop, q = ControlLoop(reaction("multi", most=20.0)), begin()
+    loop, q = ControlLoop(reaction("multi", most=20.0)), start()
     asked = path("avoidable").at(2.0, 6.0)
     asked = asked._replace(**{name: np.asarray(x) for name, x in asked._asdict().items()})
     felt = PointForce(np.array(LINK), np.asarray(material_point(model(), q, LINK, MIDDLE)), 6.0 * np.asarray(wall().normal))
@@ -263,21 +290,52 @@ def step_time(count: int = 20_000) -> dict[str, float]:
 
 def draw(file: Path) -> None:
     """The figures, redrawn."""
-    figure, axes = plt.subplots(2, len(FIGURES), figsize=(20, 8.5), layout="constrained", sharex="col")
-    for (title, (scene, schemes)), (above, below) in zip(FIGURES.items(), axes.T, strict=True):
-        for scheme in schemes:
-            found = followed(scene, scheme)
-            t, colour = DT * np.arange(len(found.force)), COLOURS.get(scheme)
-            style = {"color": colour, "linestyle": "--" if scheme == "multi" else "-", "label": scheme}
+    figure, axes = plt.subplots(2, len(FIGURES), figsize=(22, 9), layout="constrained", sharex="col")
+    for (title, (scene, names)), (above, below) in zip(FIGURES.items(), axes.T, strict=True):
+        for name in names:
+            found = of_scene(name, scene)
+            t, colour = DT * EVERY * np.arange(len(found.force)), DASHED.get(name, COLOURS.get(name))
+            style = {"color": colour, "linestyle": "--" if name in DASHED else "-", "label": name}
             above.plot(t, found.force, **style)
             below.plot(t, np.linalg.norm(found.motion.velocity, axis=1), **style)
-        for level, name in ((1.3, "$F_{th}$"), (5.0, "$F_{min}$")):
+            if "4.7" in title and name == "feedback":
+                below.plot([], [], color=colour, linestyle=":", label="feedback, as measured and filtered")
+                above.plot(t, found.felt, color=colour, linestyle=":")
+        for level, word in ((PRINTED["threshold_n"], "$F_{th}$ 1.3 N"), (PRINTED["relaxation_n"], "$F_{min}$ 5 N")):
             above.axhline(level, color="0.4", linestyle=":", linewidth=1)
-            above.annotate(name, (0.0, level), color="0.4", fontsize=9, va="bottom")
-        above.set(title=title, ylabel="contact force [N]")
+            above.annotate(word, (0.0, level), color="0.4", fontsize=9, va="bottom")
+        if "4.6" in title:
+            above.axhline(PRINTED["fig_4_6_baseline_above_n"], color="k", linestyle="--", linewidth=1)
+            above.annotate("printed: above 9 N", (0.0, 9.0), fontsize=9, va="bottom")
+        above.set(title=title, ylabel="contact force [N]", ylim=(-0.2, None))
         below.set(xlabel="time [s]", ylabel=r"$\sqrt{\dot q^T \dot q}$ [1/s]", ylim=(0.0, None))
-        above.legend(fontsize=9)
+        below.legend(fontsize=9)
     figure.savefig(file, dpi=80)
+
+
+def study(quick: bool = False, tell: Callable[[int, int], Any] | None = None) -> dict[str, Any]:
+    """All figures; `quick`, the analytic course alone. After each simulation it calls `tell(done, total)`."""
+    done, total = 0, 1 if quick else 3 + len(SCHEMES) + 6
+
+    def told() -> None:
+        nonlocal done
+        done = min(done + 1, total)
+        if tell:
+            tell(done, total)
+
+    result: dict[str, Any] = {"printed": PRINTED, "analytic": analytic(quick)}
+    told()
+    if quick:
+        return result
+    result |= {
+        "begin": start().round(4).tolist(),
+        "wall": {"point": POINT.tolist(), "normal": np.asarray(wall().normal).tolist(), "stiffness": STIFFNESS},
+        "experiments": experiments(told),
+        "random": random_contacts(told),
+        "search": search(SEARCHED),
+    }
+    told()
+    return result | {"step": step_time()}
 
 
 def main() -> None:
@@ -286,15 +344,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
     out = parser.parse_args().out
     jax.config.update("jax_enable_x64", True)
-    result = {
-        "machine": machine(),
-        "begin": begin().round(4).tolist(),
-        "wall": {"point": wall().point.tolist(), "normal": wall().normal.tolist(), "stiffness": STIFFNESS},
-        "analytic": analytic(),
-        "experiments": experiments(),
-    }
+    result = {"machine": machine()} | study()
     draw(out.with_suffix(".png"))
-    result |= {"random": random_contacts(), "step": step_time()}
     out.write_text(json.dumps(result, indent=1) + "\n")
 
 

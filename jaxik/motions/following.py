@@ -24,7 +24,7 @@ from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.reach_bound import reach_bound
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
-from jaxik.motions.nullspace import Box, LoopOptions, RateLimits, Resolved, downhill, loop_gain
+from jaxik.motions.nullspace import Box, LoopOptions, RateLimits, Resolved, damped, downhill, loop_gain
 from jaxik.motions.path import Path, TipMotion, check_path
 from jaxik.optimise import ocp
 from jaxik.options import choice, flag, number, per_joint
@@ -76,7 +76,9 @@ class FollowOptions(LoopOptions, who="follow"):
         default="runge_kutta", kinds=ocp.Integrator, words="of rates; rac integrates accelerations by half their square"
     )
     alpha: float = number(default=1.0, least=0.0, words="rates, or accelerations, down the cost's gradient, as its multiple")
-    damping: float = number(default=1.0, least=0.0, unit="1/s", words="of the velocity in the null space, by rac alone")
+    damping: float = number(
+        default=1.0, least=0.0, unit="1/s", words="zeta of the null space's velocity, which dies at twice that, by rac alone"
+    )
     limits: bool = flag(default=True, words="whether the robot's limits of position and velocity are kept")
     acceleration: float | tuple[float, ...] | None = per_joint(
         unit="rad/s2, m/s2", words="the most of each joint, or of all; None: any"
@@ -228,7 +230,7 @@ def _moved(
     boxed = how.limits or how.acceleration is not None
     if how.scheme == "rac":
         box, gain = limits.accelerations(q, qdot, dt) if boxed else None, 0.5 * loop_gain(how.gain, dt, 0.5)
-        u = downhill(robot, q, cost, how.alpha, how.weights) - how.damping * qdot
+        u = damped(downhill(robot, q, cost, how.alpha, how.weights), how.damping, qdot)
         found = how.resolved(robot, q, ocp.sample(stages, 0), u, gain=gain, box=box, qdot=qdot)
         rate = qdot + dt * found.rate
         after = q + 0.5 * dt * (qdot + rate)

@@ -8,8 +8,13 @@ which is `J#_W wdot + (1 - J#_W J) u` with one solution of a small linear system
 
     rmrc    u = 0                         resolved motion rate control [Whitney 1969; Schuetz 2017, (4.9)]
     asc     u = -alpha W^-1 dH/dq         automatic supervisory control [Liegeois 1977; (4.12)]
-    rac     u = -alpha W^-1 dH/dq - zeta qdot      resolved acceleration control [Luh et al. 1980; (4.16)], with the damping
-                                                   term (4.23), whose derivative by qdot it is
+    rac     u = -alpha W^-1 dH/dq - 2 zeta qdot    resolved acceleration control [Luh et al. 1980; (4.16)], with the derivative
+                                                   by qdot of the damping term zeta qdot'qdot (4.22), (4.23)
+
+(4.12) and (4.16) print these gradients with the other sign and without the W^-1 that minimising (4.11) and (4.15) gives them;
+the damping has none, as (4.22) prints it, so that all rates of the null space die away alike. (4.16) multiplies the gradient
+by the sample time, (4.22) does not, and neither does `alpha` here: by table 4.1's factors and its sample of 1 ms a gradient
+would hardly move anything. For (4.16) to the letter multiply `alpha` by that time.
 
 The task is closed: `wdot_eff = wdot + K werr` and `wddot_eff = wddot + K' werrdot + K werr` (4.18), (4.19), so that integration
 does not drift. Near a singularity the pivots of A's Cholesky factorisation that fall below `floor` times their diagonal entry
@@ -114,17 +119,17 @@ def resolve(
     """The joint velocities that follow `motion` and otherwise come nearest to u (n,) [rad/s, m/s], by the norm of `weights`
     (n,); or, where `qdot` (n,) is given, the accelerations [rad/s2, m/s2]. Traced.
 
-    Without a u it is 0 (rmrc), or leads down the gradient of a `cost` by `alpha` (asc); of accelerations less `damping` [1/s]
-    times qdot (rac). `gain` K [1/s] pulls the tip back to its path; accelerations by K^2 and 2 K, without overshoot, or by a
-    pair [1/s2, 1/s]. `box` bounds the result. Raises `ValueError` for a u beside a cost, an array of another shape, and weights
-    that are known and not above zero.
+    Without a u it is 0 (rmrc), or leads down the gradient of a `cost` by `alpha` (asc); of accelerations less twice `damping`
+    [1/s] times qdot, the derivative of `damping * costs.damping_cost(qdot)` (rac). `gain` K [1/s] pulls the tip back to its
+    path; accelerations by K^2 and 2 K, without overshoot, or by a pair [1/s2, 1/s]. `box` bounds the result. Raises
+    `ValueError` for a u beside a cost, an array of another shape, and weights that are known and not above zero.
     """
     inverse_weights(robot, weights, float)  # in a kernel they are not known any more
     if u is not None and cost is not None:
         raise ValueError("resolve: u and a cost; give one of them, or u less the cost's gradient")
     if u is None:
         u = downhill(robot, q, cost, alpha, weights)
-        u = u if qdot is None else u - damping * as_configuration(robot, qdot)
+        u = u if qdot is None else damped(u, damping, as_configuration(robot, qdot))
     return _compiled(robot, task, floor, q, motion, u, gain, weights, box, qdot)
 
 
@@ -145,6 +150,11 @@ def downhill(robot: Robot, q: Any, cost: Cost | None, alpha: Any, weights: Any =
     slope = jax.grad(cost)(as_configuration(robot, q))
     as_numbers("alpha", alpha, ())
     return -alpha * slope * inverse_weights(robot, weights, slope.dtype)
+
+
+def damped(u: Any, damping: Any, qdot: Any) -> Any:
+    """Returns u (n,) [rad/s2, m/s2] less the derivative `2 zeta qdot` of the damping term (4.23), zeta the `damping` [1/s]."""
+    return u - 2.0 * damping * qdot
 
 
 def inverse_weights(robot: Robot, weights: Any, dtype: Any) -> jax.Array:

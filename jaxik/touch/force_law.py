@@ -9,9 +9,10 @@ xdot is the speed of the contact along the force on the arm. Here it is sampled 
 takes a linear spring's force from the solution's value now to its value then.
 
 F counts from a threshold; once that is passed, below it, too, so that a path that presses on meets it again gently: there
-the law only holds back, it does not press. Where contact is lost it is forgotten, integral and all, with a time constant
-that goes from `fade_time` there to 0 at `fade_distance` from there. Table 4.1 has both numbers; how they act is ours. What
-a space cannot do is not integrated.
+the law only holds back, it does not press. Or F counts whole where it is above the threshold, as (4.47) prints it: it then
+dies away towards 0, and where it has come below the threshold its integral goes on to lead away. Where contact is lost it is
+forgotten, integral and all, with a time constant that goes from `fade_time` there to 0 at `fade_distance` from there. Table
+4.1 has both numbers; how they act is ours. What a space cannot do is not integrated.
 
 How stiff what is touched is follows from what is felt while it is pressed, the slope of force over depth:
 
@@ -68,12 +69,12 @@ class ForceLaw:
         return LawState(*(jnp.zeros((), dtype) for _ in LawState._fields))
 
     def active(self, state: LawState, force: Any) -> Any:
-        """Returns how far the law is in force, 0 to 1, for a force less its threshold [N]. Traced."""
+        """Returns how far the law is in force, 0 to 1, for a force as it counts [N]. Traced."""
         return jnp.where(force > 0.0, 1.0, state.active)
 
     def speed(self, state: LawState, force: Any, stiffness: Any, dt: float) -> Any:
-        """Returns the speed at which the contact is to move along the force on the arm [m/s], for a force less its threshold
-        [N]. Traced."""
+        """Returns the speed at which the contact is to move along the force on the arm [m/s], for a force as it
+        counts [N]. Traced."""
         (kept, back), _ = self.sampled(dt).tolist()
         return (force - kept * force - back * state.integral) / (stiffness * dt)
 

@@ -10,7 +10,7 @@ force is felt: F changes by -c a qdot, one contact or several of one stiffness c
 
     baseline   qdot = qdot_0                                     the automatic supervisory control (4.12)
     rmrc       qdot = qdot_0 + zeta d_n (F - F_th)               down the gradient of the energy, negative (4.36)
-    rac        the same of accelerations, with damping           (4.16), (4.36)
+    rac        the same of accelerations, less 2 zeta N qdot     (4.22), (4.23), (4.36)
     feedback   qdot = qdot_0 + d_n (xdot - a qdot_0) / k_n       xdot of `force_law` (4.47)
     task       qdot = qdot_0 + d_t (xdot - a qdot_0) / k_t       the task gives way (4.48)
     joint      qdot = qdot_0 + W^-1 a' (xdot - a qdot_0) / (k_n + k_t)     both do (4.48)
@@ -37,7 +37,7 @@ from jaxik.dynamics.point_force import PointForce, as_point_forces, point_jacobi
 from jaxik.kinematics.forward import as_posture
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSITION, Task
-from jaxik.motions.nullspace import FLOOR, RateLimits, TaskAt, downhill, settles
+from jaxik.motions.nullspace import FLOOR, RateLimits, TaskAt, damped, downhill, settles
 from jaxik.motions.path import TipMotion
 from jaxik.options import Options, anything, choice, count, flag, instance, number, per_joint
 from jaxik.reasons import Reason
@@ -47,6 +47,7 @@ from jaxik.spmd import Stepped
 from jaxik.touch.force_law import Butterworth, ForceLaw, LawState, StiffnessEstimator, StiffnessState
 
 Scheme = Literal["baseline", "rmrc", "rac", "feedback", "task", "joint", "multi"]
+Counted = Literal["excess", "whole"]
 LOST = 0.1  # [s] without a force: a contact that comes back sooner, as after a bounce, is the same one
 SUDDEN = 1.0  # [N] above the threshold: a force that begins with more was there before it was shown
 USED_UP = 0.02  # of k_n + k_t: below it a space's share is not enough to be divided by
@@ -107,6 +108,9 @@ class Reaction(Options, Stepped, who="reaction", eq=False):
     weights: tuple[float, ...] | None = per_joint(words="W of the joints", lone=False)
     scale: float = number(default=1.0, least=0.0, words="zeta of the elastic potential (rmrc, rac)")
     threshold: float = number(default=1.3, unit="N", least=0.0, words="F_th")
+    counted: Counted = choice(
+        default="excess", kinds=Counted, words="of a force above its threshold, by the laws of (4.47): what exceeds it, or all"
+    )
     relaxation: float = number(default=5.0, unit="N", least=0.0, words="F_min, above which the task gives way (multi)")
     time_constant: float = number(default=0.5, unit="s", least=1e-9, words="T of the force's target dynamics")
     damping_ratio: float = number(default=0.5, least=1e-9, words="d of these")
@@ -114,7 +118,7 @@ class Reaction(Options, Stepped, who="reaction", eq=False):
     fade_distance: float = number(default=0.05, unit="m", least=1e-9, words="from there at which it is forgotten at once")
     rate: float = number(default=5.0, unit="rad/s, m/s", least=0.0, words="the null space's greatest")
     acceleration: float = number(default=20.0, unit="rad/s2, m/s2", least=0.0, words="the null space's greatest (rac)")
-    damping: float = number(default=7.0, unit="1/s", least=0.0, words="of null-space rates (rac)")
+    damping: float = number(default=7.0, unit="1/s", least=0.0, words="zeta of null-space rates, which die at twice that (rac)")
     stiffness: float | StiffnessEstimator = anything(default=60.0, unit="N/m", words="of what is touched, or an estimator")
     cutoff: float | None = number(
         default=10.0, unit="Hz", above=0.0, optional=True, words="of the forces' Butterworth low pass; None filters nothing"
@@ -259,6 +263,7 @@ class Reaction(Options, Stepped, who="reaction", eq=False):
         away = at.inverse * a
         null = at.resolved(jnp.zeros(len(at.rows)), away).rate
         above, law, task_law, total = felt - self.threshold, state.law, state.task_law, free
+        counted = lambda least: felt - least if self.counted == "excess" else jnp.where(felt > least, felt, 0.0)
 
         def gives_way(law: LawState, force: Any, along: Any, helping: bool = False) -> tuple[Any, LawState]:
             """`total`, and more `along` (n,) as the law asks, and the law after it; `helping`, or below its threshold, only
@@ -273,9 +278,9 @@ class Reaction(Options, Stepped, who="reaction", eq=False):
         if self.scheme == "rmrc":
             total = free + _bounded(self.scale * jnp.maximum(above, 0.0) * null, self.rate)
         elif self.scheme != "baseline":
-            total, law = gives_way(law, above, {"task": away - null, "joint": away}.get(self.scheme, null))
+            total, law = gives_way(law, counted(self.threshold), {"task": away - null, "joint": away}.get(self.scheme, null))
         if self.scheme == "multi":
-            total, task_law = gives_way(task_law, felt - self.relaxation, away - null, helping=True)
+            total, task_law = gives_way(task_law, counted(self.relaxation), away - null, helping=True)
         box = self._limits.rates(at.q, state.rate, self.dt)
         return self._inside(at, at.rows @ total, total, box), (law, task_law)
 
@@ -283,7 +288,7 @@ class Reaction(Options, Stepped, who="reaction", eq=False):
         """Returns joint accelerations of the scheme "rac", whose loop is damped critically."""
         slope = downhill(self.robot, at.q, self.cost, self.alpha, self.weights)
         asked = at.acceleration(rate, self.pull)
-        free = at.resolved(asked, slope - self.damping * rate).rate
+        free = at.resolved(asked, damped(slope, self.damping, rate)).rate
         away = at.inverse * a
         null = at.resolved(jnp.zeros(len(at.rows)), away).rate
         total = free + _bounded(self.scale * above * null, self.acceleration)

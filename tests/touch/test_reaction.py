@@ -56,6 +56,28 @@ def test_the_force_follows_its_target_dynamics(scheme):
         assert np.abs(found.error).max() < 1e-4  # of the integration
 
 
+@pytest.mark.parametrize("counted", ["excess", "whole"])
+def test_what_counts_follows_its_target_dynamics(counted):
+    """(4.47) has the force itself: it falls as if there were no threshold, until it is there; its excess falls to it."""
+    found = simulated(Reaction(ARM, counted=counted, **(BARE | {"threshold": 2.0})), 1000)
+    force, t = np.asarray(found.force), BARE["dt"] * np.arange(1000)
+    least = 0.0 if counted == "whole" else 2.0
+    asked = least + (force[0] - least) * analytic(t)
+    until = int(np.argmax(asked < 2.0)) or len(t)
+    assert until > 600 and (until < 1000) == (counted == "whole")
+    np.testing.assert_allclose(force[:until], asked[:until], atol=2e-3 * force[0])
+
+
+def test_below_its_threshold_a_whole_force_goes_on_falling():
+    """Led away by the integral, to nothing where nothing is forgotten; half of it where it is as table 4.1 has it."""
+    how = BARE | {"threshold": 2.0, "counted": "whole"}
+    forgets, never = (
+        simulated(Reaction(ARM, **(how | more)), 3000).force for more in ({}, {"fade_time": 1e3, "fade_distance": 1e3})
+    )
+    excess = simulated(Reaction(ARM, **(BARE | {"threshold": 2.0})), 3000).force
+    assert never.min() < 1e-6 and forgets.min() < 0.8 * excess.min()
+
+
 def test_several_contacts_are_one_law():
     """The root of the sum of their squares follows it."""
     higher = ELBOW + np.array([0.0, 0.3, 0.0])
@@ -227,6 +249,7 @@ def test_a_loop_is_what_a_simulation_is(monkeypatch):
     ("call", "says"),
     [
         (lambda: Reaction(ARM, scheme="hard"), "scheme 'hard'; allowed: baseline, rmrc, rac"),
+        (lambda: Reaction(ARM, counted="all"), "counted 'all'; allowed: excess, whole"),
         (lambda: Reaction(ARM, threshold=np.nan), "threshold is nan; it is a finite number of at least 0"),
         (lambda: Reaction(ARM, stiffness=0.0), "stiffness is 0.0; it is a finite number"),
         (lambda: Reaction(ARM, gain=3000.0), "gain 3000 at dt 0.001 s; allowed: below 2 / dt"),
