@@ -8,7 +8,6 @@ slow", the seven that were expected, and what a surface costs in the collision t
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import json
 import tempfile
@@ -25,7 +24,7 @@ from papers.crossing_surfaces import box_faces, cross_in_a_loop, rounded_hull, s
 from papers.grid_planner import plan_on_grid
 from papers.grid_search import shortest
 from papers.stem_scenes import GRID, RANGES, STEP, Posed, StemScene, bounds, posed, search, shortest_ways
-from race import Entry, clocked, compiled, machine, race
+from race import Entry, clocked, compiled, counted, machine, race
 
 import jaxik
 
@@ -363,12 +362,10 @@ def pictures(result: dict[str, Any]) -> dict[str, plt.Figure]:
     return drawn
 
 
-def main() -> None:
+def main(tell: Callable[[int, int], Any] = counted) -> None:
     """Writes JSON and pictures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=HERE.with_suffix(".json"))
-    out = parser.parse_args().out
-    result = {"machine": machine(), **study(tell=lambda done, total: print(f"{done} of {total}", flush=True))}
+    out = HERE.with_suffix(".json")
+    result = {"machine": machine(), **study(tell=tell)}
     out.write_text(json.dumps(result, indent=1) + "\n")
     for end, figure in pictures(result).items():
         figure.savefig(out.with_name(f"{out.stem}{end}.png"), dpi=100)

@@ -16,7 +16,7 @@ from typing import Any, get_args
 import jax
 import numpy as np
 from papers.boundary_problem import Boundary, boundary_value
-from race import machine
+from race import counted, machine
 from scipy.interpolate import CubicSpline
 from setups import pendulum
 from setups import self_collision as case
@@ -181,9 +181,9 @@ def study(quick: bool = False, tell: Callable[[int, int], Any] | None = None) ->
     return found
 
 
-def main() -> None:
+def main(tell: Callable[[int, int], Any] = counted) -> None:
     """Everything, and the JSON."""
-    found = {"machine": machine()} | study(tell=lambda done, total: print(f"{done} of {total} parts", flush=True))
+    found = {"machine": machine()} | study(tell=tell)
     Path(__file__).with_suffix(".json").write_text(json.dumps(found, indent=1) + "\n")
 
 

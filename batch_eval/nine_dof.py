@@ -27,7 +27,7 @@ from papers.image_mapping import fit_mapping
 from papers.step_profile import risen
 from papers.trellises import TRELLIS_TARGETS, trellis_crop
 from peers.panda import pose_of
-from race import machine
+from race import counted, machine
 from scipy.optimize import differential_evolution
 
 import jaxik
@@ -377,9 +377,9 @@ def study(quick: bool = False, tell: Callable[[int, int], Any] | None = None) ->
     return result
 
 
-def main() -> None:
+def main(tell: Callable[[int, int], Any] = counted) -> None:
     """Writes JSON and pictures."""
-    result = {"machine": machine(), **study(tell=lambda done, total: print(f"{done} of {total}", flush=True))}
+    result = {"machine": machine(), **study(tell=tell)}
     HERE.with_suffix(".json").write_text(json.dumps(result, indent=1) + "\n")
     for end, figure in pictures(jaxik.load("chembuly9"), result).items():
         figure.savefig(HERE.with_name(f"{HERE.stem}{end}.png"), dpi=100)

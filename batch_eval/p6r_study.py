@@ -23,7 +23,7 @@ from papers.baselines import evolved, harvest_objective
 from papers.evolution import differential, genetic
 from papers.harvest_costs import harvest_orientation_cost
 from papers.two_step_scan import approach_angles, hand_frames, hand_of, scan_two_step
-from race import machine
+from race import counted, machine
 from setups.greenhouse import KINDS, greenhouse
 
 import jaxik
@@ -384,9 +384,9 @@ def draw_row(axis: Any, row: dict[str, Any]) -> None:
     axis.set_title("sec. 4.3's open problem, on the shipped row", fontsize=9)
 
 
-def main() -> None:
+def main(tell: Callable[[int, int], Any] = counted) -> None:
     """Everything, the JSON and the picture."""
-    result = {"machine": machine()} | study(tell=lambda done, total: print(f"{done} of {total}", flush=True))
+    result = {"machine": machine()} | study(tell=tell)
     path = Path(__file__).with_suffix(".json")
     path.write_text(json.dumps(result, indent=1) + "\n")
     draw(result).savefig(path.with_suffix(".png"), dpi=90)

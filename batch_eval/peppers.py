@@ -13,7 +13,6 @@ motions, at most a millimetre apart.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
 import re
@@ -29,7 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 import peppers_pictures
 from peers import casadi_peer
-from race import clocked, machine
+from race import clocked, counted, machine
 from scipy.spatial.transform import Rotation, Slerp
 from setups import self_collision
 
@@ -509,15 +508,13 @@ def small_sparsity(robot: jaxik.Robot, spans: int = 6) -> dict[str, Any]:
     return {"rows": rows, "columns": columns, "shape": [zero.numel(), 2 * qs.numel()], "workspace_rows": 6}
 
 
-def main() -> None:
+def main(tell: Callable[[int, int], Any] = counted) -> None:
     """All of it; writes JSON and pictures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
-    arguments = parser.parse_args()
-    result = {"machine": machine()} | study(tell=lambda done, total: print(f"\r{done} of {total}", end="", flush=True))
+    out = Path(__file__).with_suffix(".json")
+    result = {"machine": machine()} | study(tell=tell)
     text = re.sub(r"\[[-+.,\s\de]+\]", lambda found: " ".join(found.group().split()), json.dumps(result, indent=1))
-    arguments.out.write_text(text + "\n")
-    peppers_pictures.draw(result, arguments.out)
+    out.write_text(text + "\n")
+    peppers_pictures.draw(result, out)
 
 
 if __name__ == "__main__":

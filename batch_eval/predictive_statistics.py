@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from papers.boundary_problem import boundary_value
-from race import machine
+from race import counted, machine
 from scipy.interpolate import CubicSpline
 from setups import pendulum
 
@@ -191,9 +191,9 @@ def study(quick: bool = False, tell: Callable[[int, int], Any] | None = None) ->
         return compared(4 if quick else 1000, quick, tell)
 
 
-def main() -> None:
+def main(tell: Callable[[int, int], Any] = counted) -> None:
     """Everything, and the JSON."""
-    found = {"machine": machine()} | study(tell=lambda done, total: print(f"{done} of {total} methods", flush=True))
+    found = {"machine": machine()} | study(tell=tell)
     Path(__file__).with_suffix(".json").write_text(json.dumps(found, indent=1) + "\n")
 
 

@@ -126,6 +126,11 @@ def percentiles(times: list[float]) -> tuple[float, float]:
     return float(p50), float(p95)
 
 
+def counted(done: int, total: int) -> None:
+    """Prints how much of a study is done."""
+    print(f"{done} of {total}", flush=True)
+
+
 def machine() -> dict[str, Any]:
     """The CPU and the versions of what is installed."""
     versions = {name: found.version for name in PACKAGES for found in importlib.metadata.distributions(name=name)}
