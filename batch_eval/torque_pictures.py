@@ -1,4 +1,4 @@
-"""Figures 3.11, 3.12, 3.17 to 3.19 and table 3.10 of Schütz 2017, redrawn from what `torque_estimation.py` found."""
+"""Figures 3.11, 3.12, 3.17 to 3.19, B.2 to B.5 and table 3.10 of Schütz 2017, from what `torque_estimation.py` found."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def draw(file: Path, result: dict[str, Any], name: str, estimator: TorqueEstimat
     """All of them; the errors of T_ext are those of the estimator of that `name`."""
     figure, axes = plt.subplots(2, 4, figsize=(19, 8), layout="constrained")
     nominal, rmse = np.array(result["nominal_torque"]), result["rmse"]
-    _currents(axes[0, 0])
+    _currents(axes[0, 0], 6, "fig. 3.11 in kind: joint 6, nothing touches")
     _bars(axes[0, 1], rmse["inverse dynamics"], nominal, "fig. 3.12 in kind: error of inverse dynamics", gauged=False)
     _covariances(axes[0, 2], result["sweep"])
     _levers(axes[0, 3], result["detection"]["rows"])
@@ -34,18 +34,41 @@ def draw(file: Path, result: dict[str, Any], name: str, estimator: TorqueEstimat
     figure.savefig(file, dpi=90)
 
 
-def _currents(ax: Any) -> None:
-    """Joint 6's motor current beside what the model foretells, as torques."""
-    log, joint = logs(JUDGED[0], False)[0], 5
-    asked = log.asked
+def draw_joints(file: Path, estimator: TorqueEstimator) -> None:
+    """Figures B.2 to B.4, the model of all joints that turn, and B.5, the external torque of joints 4 and 5."""
+    figure, axes = plt.subplots(2, 5, figsize=(24, 8.5), layout="constrained")
+    for ax, joint in zip(axes[:, :4].flat, range(2, 10), strict=True):
+        number = 2 + np.searchsorted([4, 7], joint, side="right")
+        _currents(ax, joint, f"fig. B.{number} in kind: joint {joint}")
+    for ax, joint, measurement in zip(axes[:, 4], (4, 5), (7, 7), strict=True):
+        _external(ax, estimator, joint, measurement, "fig. B.5 in kind")
+    figure.savefig(file, dpi=70)
+
+
+def _currents(ax: Any, joint: int, title: str) -> None:
+    """A joint's motor current beside what the model foretells, as torques, where nothing touches."""
+    log = logs(JUDGED[0], False)[0 if joint != 3 else 1]
+    asked, joint = log.asked, joint - 1
     drive = model().drives[joint]
     inside = jax.jit(jax.vmap(lambda *x: motor_current(model(), inverse_dynamics(model(), *x), x[1], width=WIDTH)))
-    gain, foretold = float(drive.torque_per_current), inside(*asked.state)
-    ax.plot(asked.time, gain * asked.current[:, joint], "0.3", linewidth=0.6, label="motor current")
-    ax.plot(asked.time, gain * np.asarray(foretold)[:, joint], label="model")
+    gain = float(drive.torque_per_current)
+    told = gain * np.asarray(inside(*asked.state))[:, joint]
+    measured = gain * asked.current[:, joint]
+    ax.plot(asked.time, measured, "0.3", linewidth=0.6, label="motor current")
+    ax.plot(asked.time, told, label="model")
     _shade(ax, log, joint, 0.0)
-    ax.set(title="fig. 3.11 in kind: joint 6, nothing touches", ylabel="torque [Nm]", xlabel="time [s]", ylim=(-8, 9))
-    ax.legend(fontsize=8, ncol=2)
+    low, high = np.percentile(np.r_[told, measured, 0.0], [0.2, 99.8])  # without the spikes where a joint breaks away
+    room = 0.15 * (high - low)
+    ax.set(title=title, ylabel="torque [Nm]", xlabel="time [s]", ylim=(low - room, high + 2.0 * room))
+    _rate(ax, log, joint)
+    ax.legend(fontsize=8, ncol=2, loc="upper left")
+
+
+def _rate(ax: Any, log: Played, joint: int) -> None:
+    """The rate asked of a joint, from 0, on an axis of its own."""
+    rate = ax.twinx()
+    rate.plot(log.asked.time, log.asked.velocity[:, joint], color="tab:green", linewidth=0.8)
+    rate.set_ylabel("rate asked for [rad/s]", color="tab:green")
 
 
 def _bars(ax: Any, rows: Any, nominal: np.ndarray, title: str, gauged: bool) -> None:
@@ -71,27 +94,26 @@ def _levers(ax: Any, rows: list[dict[str, Any]]) -> None:
     kinds = {
         "tactile sensor, 2 N": [row["tactile_nm"] for row in rows],
         "thesis, from motor currents": [row["thesis_nm"] for row in rows],
+        "mean error of the estimate here": [row["error_nm"] for row in rows],
         "threshold here (mean of arms)": [np.mean(row["threshold_nm"]) for row in rows],
         "least push always found here": [row["least_torque_found_nm"] for row in rows],
     }
     joints = np.array([row["joint"] for row in rows])
     for i, (label, values) in enumerate(kinds.items()):
-        ax.bar(joints + 0.2 * (i - 1.5), values, 0.2, label=label)
+        ax.bar(joints + 0.17 * (i - 2), values, 0.17, label=label)
     ax.set(title="table 3.10 in kind", xlabel="joint", ylabel="torque [Nm]", xticks=joints)
-    ax.margins(y=0.35)
+    ax.margins(y=0.75)
     ax.legend(fontsize=8, loc="upper left")
 
 
-def _external(ax: Any, estimator: TorqueEstimator, joint: int, measurement: int) -> None:
+def _external(ax: Any, estimator: TorqueEstimator, joint: int, measurement: int, figure: str = "fig. 3.18 in kind") -> None:
     """The torque that the gauge exerts, the estimate of it, and how fast the joint was to move."""
     log, way = logs(JUDGED[0], True)[measurement], "vertical" if measurement % 2 else "horizontal"
     ax.plot(log.asked.time, log.asked.external[:, joint - 1], "k", label="gauge")
     ax.plot(log.asked.time, estimate(estimator, log.asked)[:, joint - 1], color="tab:blue", label="estimate")
     _shade(ax, log, joint - 1, log.asked.external[:, joint - 1])
-    ax.set(title=f"fig. 3.18 in kind: joint {joint}, {way}", ylabel="external torque [Nm]", xlabel="time [s]")
-    rate = ax.twinx()
-    rate.plot(log.asked.time, log.asked.velocity[:, joint - 1], color="tab:green", linewidth=0.8)
-    rate.set_ylabel("rate asked for [rad/s]", color="tab:green")
+    ax.set(title=f"{figure}: joint {joint}, {way}", ylabel="external torque [Nm]", xlabel="time [s]")
+    _rate(ax, log, joint - 1)
     ax.margins(y=0.15)
     ax.legend(fontsize=8, loc="upper center" if joint != 3 else "lower right")
 
