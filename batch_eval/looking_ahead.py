@@ -78,7 +78,7 @@ def sums(q: Any, rate: Any, steep: float) -> dict[str, float]:
 
 
 def passing(steep: float) -> dict[str, Any]:
-    """What passing the obstacle costs by one zeta_coll: at once, ahead, and by the boundary value problem."""
+    """The cost of passing the obstacle by one zeta_coll: at once, ahead, and by the boundary value problem."""
     now = instantaneous()
     start = time.perf_counter()
     first = tpbvp(steep)

@@ -168,7 +168,7 @@ def missed(robot: jaxik.Robot, q: np.ndarray, aims: np.ndarray) -> np.ndarray:
 
 
 class Run(NamedTuple):
-    """What a solver found for one fruit: a motion at knots, q and rate (101, n), its cost, iterations, seconds, whether it
+    """One solver's result for one fruit: a motion at knots, q and rate (101, n), its cost, iterations, seconds, whether it
     converged, and the cost and the greatest violation after each iteration, where it tells them."""
 
     q: np.ndarray
@@ -324,7 +324,7 @@ def spread(values: np.ndarray) -> dict[str, float]:
 
 
 def left_over(cost: np.ndarray, before: np.ndarray) -> dict[str, float]:
-    """What is left of a guess' cost: over fruits, and of the medians and the means, as the thesis' words may be read, too."""
+    """The share of a guess' cost that is left: over fruits, and of medians and means, as the thesis may be read, too."""
     if not len(cost):
         return {}
     ratio = {"median": float(np.median(cost / before)), "mean": float(np.mean(cost / before))}
@@ -352,7 +352,7 @@ def table(study: Study, name: str, who: str) -> dict[str, Any]:
 
 
 def of_guess(study: Study, name: str) -> dict[str, Any]:
-    """What a guess is worth before it is optimised."""
+    """The worth of a guess before it is optimised."""
     reaches, free = study.reaches[name], study.guess_free[name]
     counts = {"reaches": int(reaches.sum()), "free": int(free.sum()), "reaches_and_free": int((reaches & free).sum())}
     return counts | {"dynamic_cost": spread(study.own[name][reaches])}

@@ -9,7 +9,6 @@ the kind of result, not digits.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import json
 import time
@@ -20,7 +19,7 @@ from typing import Any
 import jax
 import numpy as np
 from papers.alarms import Judged, judge_alarms
-from race import machine
+from race import counted, machine
 from setups.torque_logs import CREEP, DT, JUDGED, MEASUREMENTS, OFF, SENSORS, TUNED, WIDTH, arms, friction_band, logs, model
 from torque_pictures import draw, draw_joints
 
@@ -275,13 +274,11 @@ def study(quick: bool = False, tell: Callable[[int, int], Any] | None = None) ->
     return result
 
 
-def main() -> None:
+def main(tell: Callable[[int, int], Any] = counted) -> None:
     """All of them; prints, and writes JSON and pictures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
-    out = parser.parse_args().out
+    out = Path(__file__).with_suffix(".json")
     jax.config.update("jax_enable_x64", True)
-    result = {"machine": machine()} | study()
+    result = {"machine": machine()} | study(tell=tell)
     best = estimators(result["sweep"])[BEST]
     draw(out.with_suffix(".png"), result, BEST, best)
     draw_joints(out.with_name(out.stem + "_joints.png"), best)

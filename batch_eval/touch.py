@@ -10,7 +10,6 @@ follows its rates exactly.
 
 from __future__ import annotations
 
-import argparse
 import functools
 import json
 import time
@@ -23,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from race import machine
+from race import counted, machine
 from setups.touch_scenes import (
     BEGIN,
     DT,
@@ -339,13 +338,11 @@ def study(quick: bool = False, tell: Callable[[int, int], Any] | None = None) ->
     return result | {"step": step_time()}
 
 
-def main() -> None:
+def main(tell: Callable[[int, int], Any] = counted) -> None:
     """All of them; prints, and writes JSON and picture."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
-    out = parser.parse_args().out
+    out = Path(__file__).with_suffix(".json")
     jax.config.update("jax_enable_x64", True)
-    result = {"machine": machine()} | study()
+    result = {"machine": machine()} | study(tell=tell)
     draw(out.with_suffix(".png"))
     out.write_text(json.dumps(result, indent=1) + "\n")
 

@@ -2,7 +2,7 @@
 
 The template, `batch_eval/tables/papers.md`, has places such as `{peppers/heuristic/converged*100:.0f}`: a file of `batch_eval`,
 the way to a value, a factor and a format. A part of the way is a key, a number of a list, or `who=tpbvp`, the first row of a
-list that has this, joined by `&` where it takes more; a list of numbers is written with commas.
+list that has this, joined by `&` where it takes more, or `min` or `max` of a list; a list of numbers is written with commas.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ def value(name: str, way: str) -> Any:
     for part in way.split("/"):
         if isinstance(found, dict):
             found = found[part]
+        elif part in ("min", "max"):
+            found = {"min": min, "max": max}[part](found)
         elif "=" in part:
             wanted = dict(each.split("=", 1) for each in part.split("&"))
             found = next((row for row in found if all(str(row.get(key)) == x for key, x in wanted.items())), None)

@@ -257,7 +257,7 @@ def test_an_endless_joint_takes_the_shorter_turn(arm):
 
 
 def test_a_guess_to_a_pose_is_optimised_once(arm, monkeypatch):
-    """Not as often as there are postures: they would all begin at the same guess."""
+    """The postures of a pose would all begin at the same guess."""
     robot, _ = arm
     goal = np.asarray(jaxik.forward_kinematics(robot, ASIDE))
     counts, solve = [], collocation.optimise
