@@ -77,7 +77,7 @@ class FollowOptions(LoopOptions, who="follow"):
     )
     alpha: float = number(default=1.0, least=0.0, words="rates, or accelerations, down the cost's gradient, as its multiple")
     damping: float = number(
-        default=1.0, least=0.0, unit="1/s", words="zeta of the null space's velocity, which dies at twice that, by rac alone"
+        default=0.5, least=0.0, unit="1/s", words="zeta of the null space's velocity, which dies at twice that, by rac alone"
     )
     limits: bool = flag(default=True, words="whether the robot's limits of position and velocity are kept")
     acceleration: float | tuple[float, ...] | None = per_joint(

@@ -109,7 +109,7 @@ def resolve(
     u: Float[Array, " n"] | None = None,
     cost: Cost | None = None,
     alpha: Any = 1.0,
-    damping: Any = 1.0,
+    damping: Any = 0.5,
     task: Task = POSE,
     gain: Any = 1.0,
     weights: Any = None,
