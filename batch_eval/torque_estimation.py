@@ -193,8 +193,8 @@ def delays(detector: Detector, estimator: TorqueEstimator, arm: int, joint: int,
 
 def detection(estimator: TorqueEstimator, off: list[list[float]], tell: Callable[[], Any]) -> dict[str, Any]:
     """Table 3.10: thresholds from free logs, false alarms on others, the least force on link 4 that is found on every arm, and
-    on how many of them one of the printed torque is; beside it the estimate's error, `off` (4, 7) [Nm]: the thesis reads its
-    column off "the performance evaluation", fig. 3.19, and not off pushes."""
+    on how many of them one of the printed torque is; beside it the estimate's error, `off` (4, 7) [Nm], for the thesis may
+    have read its column off "the performance evaluation", fig. 3.19, rather than off pushes."""
     detectors = {arm: fitted(estimator, arm) for arm in JUDGED}
     tell()
     quiet = [each for arm, detector in detectors.items() for each in false_alarms(detector, estimator, arm)]

@@ -2,7 +2,8 @@
 
 The template, `batch_eval/tables/papers.md`, has places such as `{peppers/heuristic/converged*100:.0f}`: a file of `batch_eval`,
 the way to a value, a factor and a format. A part of the way is a key, a number of a list, or `who=tpbvp`, the first row of a
-list that has this, joined by `&` where it takes more, or `min` or `max` of a list; a list of numbers is written with commas.
+list that has this, joined by `&` where it takes more, or `min`, `median` or `max` of a list; a list of numbers is written
+with commas.
 """
 
 from __future__ import annotations
@@ -10,11 +11,13 @@ from __future__ import annotations
 import functools
 import json
 import re
+import statistics
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
 PAGE, TEMPLATE = ROOT / "docs" / "papers.md", ROOT / "batch_eval" / "tables" / "papers.md"
+LIST = {"min": min, "median": statistics.median, "max": max}
 PLACE = re.compile(r"\{(\w+)/([^{}*:]+)(?:\*([\d.e-]+))?(?::([^{}]+))?\}")
 
 
@@ -30,8 +33,8 @@ def value(name: str, way: str) -> Any:
     for part in way.split("/"):
         if isinstance(found, dict):
             found = found[part]
-        elif part in ("min", "max"):
-            found = {"min": min, "max": max}[part](found)
+        elif part in LIST:
+            found = LIST[part](found)
         elif "=" in part:
             wanted = dict(each.split("=", 1) for each in part.split("&"))
             found = next((row for row in found if all(str(row.get(key)) == x for key, x in wanted.items())), None)
