@@ -362,10 +362,10 @@ def pictures(result: dict[str, Any]) -> dict[str, plt.Figure]:
     return drawn
 
 
-def main(tell: Callable[[int, int], Any] = counted) -> None:
+def main() -> None:
     """Writes JSON and pictures."""
     out = HERE.with_suffix(".json")
-    result = {"machine": machine(), **study(tell=tell)}
+    result = {"machine": machine(), **study(tell=counted)}
     out.write_text(json.dumps(result, indent=1) + "\n")
     for end, figure in pictures(result).items():
         figure.savefig(out.with_name(f"{out.stem}{end}.png"), dpi=100)

@@ -377,9 +377,9 @@ def study(quick: bool = False, tell: Callable[[int, int], Any] | None = None) ->
     return result
 
 
-def main(tell: Callable[[int, int], Any] = counted) -> None:
+def main() -> None:
     """Writes JSON and pictures."""
-    result = {"machine": machine(), **study(tell=tell)}
+    result = {"machine": machine(), **study(tell=counted)}
     HERE.with_suffix(".json").write_text(json.dumps(result, indent=1) + "\n")
     for end, figure in pictures(jaxik.load("chembuly9"), result).items():
         figure.savefig(HERE.with_name(f"{HERE.stem}{end}.png"), dpi=100)

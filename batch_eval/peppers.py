@@ -508,10 +508,10 @@ def small_sparsity(robot: jaxik.Robot, spans: int = 6) -> dict[str, Any]:
     return {"rows": rows, "columns": columns, "shape": [zero.numel(), 2 * qs.numel()], "workspace_rows": 6}
 
 
-def main(tell: Callable[[int, int], Any] = counted) -> None:
+def main() -> None:
     """All of it; writes JSON and pictures."""
     out = Path(__file__).with_suffix(".json")
-    result = {"machine": machine()} | study(tell=tell)
+    result = {"machine": machine()} | study(tell=counted)
     text = re.sub(r"\[[-+.,\s\de]+\]", lambda found: " ".join(found.group().split()), json.dumps(result, indent=1))
     out.write_text(text + "\n")
     peppers_pictures.draw(result, out)

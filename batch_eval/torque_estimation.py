@@ -274,11 +274,11 @@ def study(quick: bool = False, tell: Callable[[int, int], Any] | None = None) ->
     return result
 
 
-def main(tell: Callable[[int, int], Any] = counted) -> None:
+def main() -> None:
     """All of them; prints, and writes JSON and pictures."""
     out = Path(__file__).with_suffix(".json")
     jax.config.update("jax_enable_x64", True)
-    result = {"machine": machine()} | study(tell=tell)
+    result = {"machine": machine()} | study(tell=counted)
     best = estimators(result["sweep"])[BEST]
     draw(out.with_suffix(".png"), result, BEST, best)
     draw_joints(out.with_name(out.stem + "_joints.png"), best)

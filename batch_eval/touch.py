@@ -338,11 +338,11 @@ def study(quick: bool = False, tell: Callable[[int, int], Any] | None = None) ->
     return result | {"step": step_time()}
 
 
-def main(tell: Callable[[int, int], Any] = counted) -> None:
+def main() -> None:
     """All of them; prints, and writes JSON and picture."""
     out = Path(__file__).with_suffix(".json")
     jax.config.update("jax_enable_x64", True)
-    result = {"machine": machine()} | study(tell=tell)
+    result = {"machine": machine()} | study(tell=counted)
     draw(out.with_suffix(".png"))
     out.write_text(json.dumps(result, indent=1) + "\n")
 
