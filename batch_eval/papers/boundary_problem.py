@@ -62,33 +62,29 @@ def boundary_value(
     timeout: float = 60.0,
 ) -> Boundary:
     """Solves it over the horizon from q (n,), beginning with `guess`, a `PredictResult`, or, on `nodes` equal steps, with the
-    instantaneous motion's q, and u = lambda = 0: with that down the cost's gradient (fig. 5.1), and where that leads to no
-    solution, with that without an input. The arguments are those of `jaxik.predict`.
+    instantaneous motion's q, and u = lambda = 0: with that down the cost's gradient (fig. 5.1), and with that without an input,
+    of which the cheaper solution is returned. The arguments are those of `jaxik.predict`.
 
     Where neither leads to one by `max_nodes` and `timeout` [s], what is returned is the motion that was begun with. Beyond the
     joints' limits, or off its path, a motion is no success. Raises `ValueError` for a q or a guess of another shape, a q that
     is no number, a duration that is not positive, and a path that `Path.at` refuses.
     """
-    from scipy.integrate import simpson
-
     with jax.enable_x64(True):
         path.at(0.0, duration)  # refuses what is no path, and a duration that is not positive
         system, world = _System(robot, cost, horizon), (path, float(duration))
         n, start = robot.num_joints, _start(robot, q, guess)
-        begin = _first(system, world, start, nodes, guess)
         free = np.linalg.svd(np.asarray(system.freedom(world, start)).T)[0]  # first the motions that leave the tip in place
         basis = free[:, : n - sum(horizon.task.bound)]
         rates = lambda t, y: np.asarray(_padded(functools.partial(system.rates, world), t, y))[:, : len(t)]
         ends = lambda a, b: np.asarray(system.ends(world, a, b, start, basis))
-        found = _collocated(rates, ends, begin, tolerance, max_nodes, timeout)
-        each = _padded(functools.partial(system.judged, world), found.x, found.y)
-        w, costs, left, rate, error = (np.asarray(x)[: len(found.x)] for x in each)
-        y, adjoint = np.split(found.y.T, 2, axis=1)
-        total = float(simpson(costs, x=found.x))
-        reason = _judged(robot, horizon, y[:, :n], rate, error, costs)
-        reason, message = _verdict(found, reason, bool((left <= STATIONARY).all()))
-        u, solved = y[:, n:] if system.rate_level else w, reason == Reason.SOLVED
-        return Boundary(found.x, y[:, :n], u, adjoint, w, costs, total, solved, message, found.residual, reason)
+        until = time.monotonic() + timeout
+        solve = lambda begin: _collocated(rates, ends, begin, tolerance, max_nodes, until)
+        found = [_told(system, world, solve(begin)) for begin in _first(system, world, start, nodes, guess)]
+        return min(found, key=lambda each: (each.reason != Reason.SOLVED, each.reason != Reason.LIMITS, _finite(each.total)))
+
+
+def _finite(total: float) -> float:
+    return total if np.isfinite(total) else np.inf
 
 
 class _Found(NamedTuple):
@@ -101,31 +97,39 @@ class _Found(NamedTuple):
     residual: float
 
 
-def _collocated(rates: Any, ends: Any, begin: list[Any], tolerance: float, max_nodes: int, timeout: float) -> _Found:
-    """SciPy's solution from the first of the beginnings that leads to one, or else the first beginning that is finite."""
+def _collocated(rates: Any, ends: Any, begin: Any, tolerance: float, max_nodes: int, until: float) -> _Found:
+    """SciPy's solution from a beginning, or the beginning, and why that leads to none."""
     from scipy.integrate import solve_bvp
-
-    until, why = time.monotonic() + timeout, "The beginning is no number."
 
     def in_time(t: Any, y: Any) -> Any:
         if time.monotonic() > until:
-            raise TimeoutError(f"No solution within {timeout:g} s.")
+            raise TimeoutError("No solution within the timeout.")
         return rates(t, y)
 
-    for x, y in begin:
-        if not np.isfinite(y).all():
-            continue
-        try:
-            with np.errstate(all="ignore"):  # a diverging mesh is told by `success`
-                found = solve_bvp(in_time, ends, x, y, tol=tolerance, max_nodes=max_nodes)
-        except TimeoutError as error:
-            why = str(error)
-            break
-        if found.success and np.isfinite(found.y).all():
-            return _Found(found.x, found.y, True, found.message, float(np.max(found.rms_residuals)))
-        why = found.message
-    x, y = next((both for both in begin if np.isfinite(both[1]).all()), begin[-1])
-    return _Found(x, y, False, why, np.inf)
+    if not np.isfinite(begin[1]).all():
+        return _Found(*begin, False, "The beginning is no number.", np.inf)
+    try:
+        with np.errstate(all="ignore"):  # a diverging mesh is told by `success`
+            found = solve_bvp(in_time, ends, *begin, tol=tolerance, max_nodes=max_nodes)
+    except TimeoutError as error:
+        return _Found(*begin, False, str(error), np.inf)
+    if not (found.success and np.isfinite(found.y).all()):
+        return _Found(*begin, False, found.message, np.inf)
+    return _Found(found.x, found.y, True, found.message, float(np.max(found.rms_residuals)))
+
+
+def _told(system: _System, world: Any, found: _Found) -> Boundary:
+    """Judges a solution, and gives all that is known of it."""
+    from scipy.integrate import simpson
+
+    n = system.robot.num_joints
+    each = _padded(functools.partial(system.judged, world), found.x, found.y)
+    w, costs, left, rate, error = (np.asarray(x)[: len(found.x)] for x in each)
+    y, adjoint = np.split(found.y.T, 2, axis=1)
+    reason = _judged(system.robot, system.horizon, y[:, :n], rate, error, costs)
+    reason, message = _verdict(found, reason, bool((left <= STATIONARY).all()))
+    u, total = y[:, n:] if system.rate_level else w, float(simpson(costs, x=found.x))
+    return Boundary(found.x, y[:, :n], u, adjoint, w, costs, total, reason == Reason.SOLVED, message, found.residual, reason)
 
 
 def _start(robot: Robot, q: Any, guess: Any) -> np.ndarray:
