@@ -136,6 +136,7 @@ def _checked(who: str, estimator: Estimator, sample: Motion, of_log: bool) -> li
     """The fields that are read, as arrays; raises `ValueError` for what does not fit."""
     check_kind(who, "log" if of_log else "sample", sample, Motion)
     robot = estimator.robot
+    sample = sample.ordered(who, robot.joint_names)
     arrays = {name: numbers(f"{who}: {name}", sample.needed(who, name)) for name in estimator.reads}
     shape, n = arrays["q"].shape, robot.num_joints
     allowed = f"(..., t, {n}), t > 0" if of_log else f"({n},)"

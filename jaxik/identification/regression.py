@@ -177,6 +177,7 @@ def joined(
 def _checked(who: str, robot: Robot, log: Motion) -> list[np.ndarray]:
     if not isinstance(log, Motion):
         raise ValueError(f"{who} is a {type(log).__name__}; write a jaxik.kinematics.Motion")
+    log = log.ordered(who, robot.joint_names)
     if (log.torque is None) == (log.current is None):
         raise ValueError(f"{who} has {'no' if log.torque is None else 'both'} torque and current; give one of them")
     effort = "torque" if log.current is None else "current"

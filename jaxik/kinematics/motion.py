@@ -69,6 +69,18 @@ class Motion(Pytree):
             raise ValueError(f"{who}: the motion has no {name}; give Motion(..., {name}=)")
         return given
 
+    def ordered(self, who: str, names: tuple[str, ...]) -> Motion:
+        """Returns the motion with its joints in the order of `names`, itself where it has no names. Host. Raises `ValueError`,
+        `who` asking, where its joints are others."""
+        own = self.joint_names
+        if not own or own == names:
+            return self
+        if sorted(own) != sorted(names):
+            raise ValueError(f"{who}: joints {', '.join(own)}; allowed: {', '.join(names)}, in any order, or no joint_names")
+        order = [own.index(name) for name in names]
+        joints = dataclasses.replace(self, time=None, joint_names=names)
+        return dataclasses.replace(jax.tree_util.tree_map(lambda x: np.asarray(x)[..., order], joints), time=self.time)
+
 
 def smooth(motion: Motion, *, cutoff: float | None = None) -> Motion:
     """Returns a log below the frequency `cutoff` [Hz], without delay, and with the derivatives that it lacks. Host.

@@ -13,7 +13,7 @@ from jaxik.dynamics import Body, Drive, Friction, friction_torque, inverse_dynam
 from jaxik.identification import ExciteOptions, base_parameters, excite, identify
 from jaxik.identification.excitation import ClearSpace, _Search
 from jaxik.identification.least_squares import Bodies, pseudo_inertias
-from jaxik.identification.regression import Curve, body_columns, posed, side_by_side
+from jaxik.identification.regression import Curve, body_columns, joined, posed, side_by_side
 from jaxik.kinematics import Motion, smooth
 from jaxik.reasons import Reason
 
@@ -371,3 +371,14 @@ def test_a_dead_channel_is_named(dead, six):
     sprung = SIX.with_drives([Drive(spring_force=5.0)] * len(SIX.joint_names))  # what springs give is no measurement
     with pytest.raises(ValueError, match="a dead channel tells nothing"):
         identify(sprung, Motion(*wave, torque=silent), terms=())
+
+
+def test_a_log_says_the_order_of_its_joints():
+    robot, rng = jaxik.load("planar2"), np.random.default_rng(5)
+    q, velocity, acceleration, torque = rng.normal(size=(4, 40, 2))
+    turned = Motion(q[:, ::-1], velocity[:, ::-1], acceleration[:, ::-1], torque=torque[:, ::-1], joint_names=("q2", "q1"))
+    straight = Motion(q, velocity, acceleration, torque=torque)
+    for one, other in zip(joined(robot, turned), joined(robot, straight), strict=True):
+        np.testing.assert_array_equal(one, other)
+    with pytest.raises(ValueError, match="identify: log 1: joints a, b; allowed: q1, q2, in any order, or no joint_names"):
+        joined(robot, dataclasses.replace(straight, joint_names=("a", "b")))

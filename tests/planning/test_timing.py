@@ -280,6 +280,9 @@ def test_a_motion_of_a_robot_knows_its_joints(tmp_path):
         assert motion.joint_names == robot.joint_names
     other = json.loads(save_trajectory(found, tmp_path / "y.json", robot=["a", "b"]).read_text())
     assert other["joint_names"] == ["a", "b"]
+    turned = dataclasses.replace(found, q=found.q[:, ::-1], velocity=None, acceleration=None, joint_names=("q2", "q1"))
+    again = load_trajectory(save_trajectory(turned, tmp_path / "z.csv", robot=robot), robot=robot)
+    np.testing.assert_allclose(again.q, found.q, atol=1e-12)
     nameless = time_path([[0.0], [1.0]], velocity=1.0)
     for motion in (nameless, nameless.sample(0.1)):
         with pytest.raises(ValueError, match=r"^save_trajectory: [TM].* without joint_names; give robot=, the robot or"):
