@@ -20,7 +20,7 @@ import jax
 import matplotlib.pyplot as plt
 import numpy as np
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-from papers.baselines import newton_ik
+from papers.baselines import global_search, newton_ik
 from papers.crossing_surfaces import box_faces
 from papers.harvest_costs import box_penalty, link_circles
 from papers.image_mapping import fit_mapping
@@ -28,7 +28,6 @@ from papers.step_profile import risen
 from papers.trellises import TRELLIS_TARGETS, trellis_crop
 from peers.panda import pose_of
 from race import counted, machine
-from scipy.optimize import differential_evolution
 
 import jaxik
 
@@ -146,31 +145,17 @@ def baselines(robot: jaxik.Robot, starts: int = 100, most: int = 6, generations:
             if not generations:
                 continue
             start = time.perf_counter()
-            found = evolved(robot, target, scene, generations)
+            found = global_search(robot, wanted, boxes=boxes_of(scene), task=TASK, generations=generations)
             rows.append(
                 {
                     "who": "differential evolution",
                     "row": i + 1,
-                    "objective": float(found.fun),
-                    "evaluations": int(found.nfev) * len(found.population),
+                    "objective": found.objective,
+                    "evaluations": found.evaluations,
                     "seconds": time.perf_counter() - start,
                 }
             )
     return rows
-
-
-def evolved(robot: jaxik.Robot, target: np.ndarray, scene: jaxik.Scene, generations: int) -> Any:
-    """Differential evolution over the paper's objective for a position, its penalty of 100 a point in a box included."""
-    low, high = boxes_of(scene)
-
-    def objective(q: Any) -> Any:
-        away = jaxik.forward_kinematics(robot, q)[:3, 3] - target
-        return away @ away + box_penalty(link_circles(robot, q), low, high)
-
-    each, bounds = jax.jit(jax.vmap(objective)), np.stack(robot.finite_limits, axis=1)
-    plain = {"vectorized": True, "updating": "deferred", "polish": False, "tol": 0.0, "atol": 0.0}
-    evaluate = lambda columns: np.asarray(each(columns.T))
-    return differential_evolution(evaluate, bounds, rng=np.random.default_rng(0), maxiter=generations, popsize=15, **plain)
 
 
 def units(robot: jaxik.Robot) -> dict[str, Any]:

@@ -10,9 +10,10 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from papers.evolution import Evolved
+from papers.evolution import Evolved, Step, evolve
 from papers.harvest_costs import MILLIMETRE, box_penalty, harvest_cost, link_circles
 from papers.newton import Root, damped_least_squares, newton_raphson
 from scipy.optimize import differential_evolution
@@ -88,12 +89,13 @@ def global_search(
         total = jnp.sum(missed(q) ** 2)
         return total if boxes is None else total + box_penalty(link_circles(robot, q), *boxes)
 
-    each, looked = HostKernel(objective, 1), 0
+    each, looked = jax.jit(jax.vmap(objective)), 0  # by XLA: so many points in so many boxes are too many for a kernel
 
     def evaluate(columns: np.ndarray) -> np.ndarray:
         nonlocal looked
         looked += columns.shape[1]
-        return each.run(columns.T, double=True)[0]
+        with jax.enable_x64(True):
+            return np.asarray(each(columns.T))
 
     bounds, rng = np.stack(robot.finite_limits, axis=1), np.random.default_rng(seed)
     plain = {"vectorized": True, "updating": "deferred", "polish": False, "tol": 0.0, "atol": 0.0}
@@ -126,8 +128,6 @@ def harvest_objective(
     return HostKernel(objective, 1)
 
 
-def evolved(
-    how: Callable[..., Evolved], each: HostKernel, robot: jaxik.Robot, seeds: Sequence[int], generations: int, **more: Any
-) -> Evolved:
+def evolved(how: Step, each: HostKernel, robot: jaxik.Robot, seeds: Sequence[int], generations: int, **more: Any) -> Evolved:
     """Minimises a kernel of one configuration inside the limits, once for each seed, by `genetic` or `differential`."""
-    return how(lambda q: each.run(q, double=True)[0], *robot.finite_limits, seeds, generations, **more)
+    return evolve(how, lambda q: each.run(q, double=True)[0], *robot.finite_limits, seeds, generations, **more)

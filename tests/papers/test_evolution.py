@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from papers.evolution import differential, genetic
+from papers.evolution import differential, evolve, genetic
 
 LOW, HIGH = np.array([-5.12, -1.0, 2.0]), np.array([5.12, 3.0, 4.0])
 
@@ -14,7 +14,7 @@ def rastrigin(x):
 @pytest.mark.parametrize("how", [genetic, differential])
 def test_the_least_value_of_many_minima(how):
     looked = []
-    found = how(lambda x: looked.append(x) or rastrigin(x), LOW, HIGH, range(5), 300, population=60)
+    found = evolve(how, lambda x: looked.append(x) or rastrigin(x), LOW, HIGH, range(5), 300, population=60)
     every = np.concatenate(looked)
     assert np.all((every >= LOW) & (every <= HIGH)) and len(every) == 5 * found.evaluations
     np.testing.assert_allclose(found.objective, 4.0, atol=1e-3)
@@ -26,7 +26,7 @@ def test_the_least_value_of_many_minima(how):
 
 @pytest.mark.parametrize("how", [genetic, differential])
 def test_a_run_is_its_own(how):
-    together, alone = how(rastrigin, LOW, HIGH, [3, 8], 20, population=20), how(rastrigin, LOW, HIGH, [8], 20, population=20)
+    together, alone = (evolve(how, rastrigin, LOW, HIGH, seeds, 20, population=20) for seeds in ([3, 8], [8]))
     np.testing.assert_array_equal(together.x[1], alone.x[0])
     np.testing.assert_array_equal(together.history[:, 1], alone.history[:, 0])
     assert together.objective[0] != together.objective[1]
