@@ -131,6 +131,19 @@ def counted(done: int, total: int) -> None:
     print(f"{done} of {total}", flush=True)
 
 
+def steps(tell: Callable[[int, int], Any] | None, total: int) -> Callable[[], None]:
+    """Returns what a study of `total` parts is to call after each of them; more parts than that count as the last."""
+    done = 0
+
+    def step() -> None:
+        nonlocal done
+        done = min(done + 1, total)
+        if tell:
+            tell(done, total)
+
+    return step
+
+
 def machine() -> dict[str, Any]:
     """The CPU and the versions of what is installed."""
     versions = {name: found.version for name in PACKAGES for found in importlib.metadata.distributions(name=name)}

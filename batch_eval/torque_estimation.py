@@ -19,7 +19,7 @@ from typing import Any
 import jax
 import numpy as np
 from papers.alarms import Judged, judge_alarms
-from race import counted, machine
+from race import counted, machine, steps
 from setups.torque_logs import CREEP, DT, JUDGED, MEASUREMENTS, OFF, SENSORS, TUNED, WIDTH, arms, friction_band, logs, model
 from torque_pictures import draw, draw_joints
 
@@ -242,14 +242,7 @@ def step_times(named: dict[str, Any]) -> dict[str, Any]:
 
 def study(quick: bool = False, tell: Callable[[int, int], Any] | None = None) -> dict[str, Any]:
     """All figures; `quick`, the gain of the filter and the printed numbers alone: each log takes seconds in MuJoCo."""
-    done, total = 0, 1 if quick else 4 + len(LEVERS)
-
-    def told() -> None:
-        nonlocal done
-        done += 1
-        if tell:
-            tell(done, total)
-
+    told = steps(tell, 1 if quick else 4 + len(LEVERS))
     result: dict[str, Any] = {"printed": TEXT, "filter_gain": known().gain.tolist()}
     if quick:
         told()

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from race import counted, machine
+from race import counted, machine, steps
 from setups.touch_scenes import (
     BEGIN,
     DT,
@@ -315,14 +315,7 @@ def draw(file: Path) -> None:
 
 def study(quick: bool = False, tell: Callable[[int, int], Any] | None = None) -> dict[str, Any]:
     """All figures; `quick`, the beginning of the analytic course alone. After each simulation it calls `tell(done, total)`."""
-    done, total = 0, 1 if quick else 3 + len(SCHEMES) + 6
-
-    def told() -> None:
-        nonlocal done
-        done = min(done + 1, total)
-        if tell:
-            tell(done, total)
-
+    told = steps(tell, 1 if quick else 3 + len(SCHEMES) + 6)
     result: dict[str, Any] = {"printed": PRINTED, "analytic": analytic(quick)}
     told()
     if quick:
