@@ -297,14 +297,20 @@ def _predicted(
     """Predicts from one input a scenario."""
     q = as_numbers("predict: q", q).astype(jnp.result_type(float))
     axes = scenario_axes("predict", robot, path, duration, q, each, Each)
-    shape = (how.count + how.free_start, robot.num_joints)
+    w = _as_inputs(guess, how, q, each)
+    return by_scenarios(_program(robot, cost, how, axes), axes, (q, path, duration, w, given), progress)
+
+
+def _as_inputs(guess: Any, how: PredictOptions, q: Any, each: Sequence[str]) -> Any:
+    """The first inputs, of one scenario or with one more axis; 0 without a guess, None of one that the program makes."""
     if isinstance(guess, str):
         check_choices("predict", guess=(guess, Guess))
-        return by_scenarios(_program(robot, cost, how, axes), axes, (q, path, duration, None, given), progress)
+        return None
+    shape = (how.count + how.free_start, (n := q.shape[-1]))
     w: Any = np.zeros(shape, q.dtype) if guess is None else as_numbers("predict: guess", guess).astype(q.dtype)
-    if how.free_start and w.shape[-2:] == (how.count, robot.num_joints):
+    if how.free_start and w.shape[-2:] == (how.count, n):
         w = jnp.concatenate([jnp.zeros_like(w[..., :1, :]), w], axis=-2)
     wanted = (*q.shape[:1], *shape) if "guess" in each else shape
     if w.shape != wanted:
         raise ValueError(f"predict: guess has the shape {w.shape}; allowed: {wanted}")
-    return by_scenarios(_program(robot, cost, how, axes), axes, (q, path, duration, w, given), progress)
+    return w

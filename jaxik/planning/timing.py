@@ -133,12 +133,10 @@ def _pieces(path: JointPath) -> tuple[Any, bool]:
 
 def _drives(robot: Robot | None, torque: Any, power: Any, gravity: Any) -> Drives | None:
     """The robot's drives, or None where nothing limits them. Raises `ValueError` for their limits without a robot."""
-    if torque is None and power is None and gravity is GRAVITY:
+    if torque is None and power is None and (robot is None or gravity is GRAVITY):  # which needs no check
         return None
     if robot is None:
-        if not (torque is None and power is None):
-            raise ValueError("time_path: torque and power are of a robot; write robot=")
-        return None
+        raise ValueError("time_path: torque and power are of a robot; write robot=")
     found = drive_limits.drives("time_path", robot, torque, power, gravity)
     return found if found.limited else None
 

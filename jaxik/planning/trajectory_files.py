@@ -54,7 +54,7 @@ def save_trajectory(
         raise ValueError(f"{who}: {type(trajectory).__name__} without joint_names; give robot=, the robot or its joints' names")
     names = as_names(f"{who}: robot", trajectory.joint_names if robot is None else robot)
     if sorted(names) == sorted(trajectory.joint_names):  # in whichever order: the columns are the motion's
-        names = as_names(who, trajectory.joint_names)
+        names = list(trajectory.joint_names)
     motion = _whole(trajectory) if isinstance(trajectory, Motion) else trajectory.sample(dt)
     if motion.q.ndim != 2 or len(names) != motion.q.shape[1]:
         raise ValueError(f"{who}: {len(names)} joint names of q of shape {motion.q.shape}; give one a joint, and one motion")
