@@ -18,7 +18,9 @@ from jaxik.spmd import rules as rules  # which register themselves
 from jaxik.spmd.control_loop import ControlLoop, Stepped
 from jaxik.spmd.decorator import kernel
 from jaxik.spmd.host import HostKernel
+from jaxik.spmd.program import Unsupported
 from jaxik.spmd.report import KernelReport, describe
-from jaxik.spmd.scalarise import Unsupported
+from jaxik.spmd.team import team
+from jaxik.spmd.trace import TEAM
 
-__all__ = ["ControlLoop", "HostKernel", "KernelReport", "Stepped", "Unsupported", "describe", "kernel"]
+__all__ = ["TEAM", "ControlLoop", "HostKernel", "KernelReport", "Stepped", "Unsupported", "describe", "kernel", "team"]

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.spmd.program import DTYPES, FLOATS, limits
-from jaxik.spmd.text import BITS, Text, is_unsigned
+from jaxik.spmd.text import BITS, Text, is_unsigned, llvm, mangled
 
 BINARY = {"add": "add", "sub": "sub", "mul": "mul", "and": "and", "or": "or", "xor": "xor"}
 FLOAT_BINARY = {"add": "fadd", "sub": "fsub", "mul": "fmul", "fdiv": "fdiv", "frem": "frem"}
@@ -41,6 +41,22 @@ def instruction(t: Text, e: Expression) -> str:
     if e.code.startswith(LIBRARY):
         return t.intrinsic(e.code.removeprefix(LIBRARY), e.type, e.wide, names)
     return _RULES[e.code](t, e)
+
+
+def collective(t: Text, code: str, kind: str, value: str) -> str:
+    """The sum, the largest or the least of a vector's entries; NaN if one is."""
+    shape, what = t.vector(kind), code.removeprefix("team_")
+    if kind == "i1":
+        bits = t.assign(f"bitcast {shape} {value} to i{t.width}")
+        return f"icmp {'ne' if what == 'max' else 'eq'} i{t.width} {bits}, {0 if what == 'max' else -1}"
+    if kind in FLOATS:
+        name = {"sum": "fadd", "max": "fmaximum", "min": "fminimum"}[what]
+    else:
+        name = "add" if what == "sum" else f"{'u' if is_unsigned(kind) else 's'}{what}"
+    full, first = f"@llvm.vector.reduce.{name}.v{t.width}{mangled(kind)}", llvm(kind)
+    given = [f"{first} {t.constant(-0.0, kind, False)}", f"{shape} {value}"] if name == "fadd" else [f"{shape} {value}"]
+    t.declared.add(f"declare {first} {full}({', '.join(x.rsplit(' ', 1)[0] for x in given)})")
+    return f"call {first} {full}({', '.join(given)})"
 
 
 def _comparison(code: str, kind: str, shape: str, names: list[str]) -> str:

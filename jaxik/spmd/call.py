@@ -23,7 +23,7 @@ from jaxik.spmd.emit import Emitter
 from jaxik.spmd.handler import Row, handler
 from jaxik.spmd.program import Op, Program
 from jaxik.spmd.scalarise import Unsupported, scalarised, type_of
-from jaxik.spmd.trace import Traced
+from jaxik.spmd.trace import TEAM_SIZE, Traced
 
 WORTH = 20_000  # operations on vectors that are worth waking a thread for, about 10 us
 QUICK = 30_000  # operations from which LLVM's good code takes seconds, more than linearly, and is not asked for
@@ -38,7 +38,7 @@ class Plan:
 
     program: Program
     needed: Set[int]  # its operations that the outputs need
-    width: int
+    width: int  # the rows that it takes at a time
     chunk: int
     text: str
 
@@ -63,14 +63,15 @@ def plan(traced: Traced, shared: tuple[bool, ...], name: str) -> Plan:
     rows_in = [row(a, s) for a, s in zip(traced.inputs, shared, strict=True)]
     rows_out = [row(a, False) for a in traced.outputs]
     wide = any(op.type == "double" for op in program.ops)
-    width = machine.vector_bits() // (64 if wide else 32)
-    emitter = Emitter(program, shared, width)
+    width = TEAM_SIZE if program.team else machine.vector_bits() // (64 if wide else 32)
+    emitter = Emitter(program, [program.team or each for each in shared], width)
     text = emitter.function()
+    rows = 1 if program.team else width
     needed = emitter.live.needed
     cost = sum(times for op, times in walked(program, needed, program.top.body) if op.code not in ("loop", "branch"))
     chunk = max(1, WORTH // max(cost, 1))
-    text += "\n" + handler(name, rows_in, rows_out, width, chunk)
-    return Plan(program, needed, width, chunk, text)
+    text += "\n" + handler(name, rows_in, rows_out, rows, chunk)
+    return Plan(program, needed, rows, chunk, text)
 
 
 def walked(program: Program, needed: Set[int], body: Sequence[int], times: int = 1) -> Iterator[tuple[Op, int]]:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.spmd.host import HostKernel
-from jaxik.spmd.scalarise import Unsupported
+from jaxik.spmd.program import Unsupported
 
 
 class Stepped:

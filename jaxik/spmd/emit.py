@@ -12,10 +12,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxik.spmd.arithmetic import Expression, instruction
+from jaxik.spmd.arithmetic import Expression, collective, instruction
 from jaxik.spmd.liveness import Liveness
 from jaxik.spmd.memory import Accesses, Values, starts, together, write_rows
-from jaxik.spmd.program import TYPES, Branch, Loop, Memory, Op, Program, Whole
+from jaxik.spmd.program import TYPES, Branch, Loop, Memory, Op, Program, Unsupported, Whole
 from jaxik.spmd.text import ALIGNED, BYTES, Text, buffers, literal, stored
 
 Block = tuple[int, int, int]  # of an output: its number, the first of the columns, how many
@@ -30,6 +30,7 @@ class Emitter:
         self.text = Text(width)
         self.values = Values(program, self.live, self.text)
         self.memory = Accesses(self.values)
+        self.taking_part: str | None = None  # the lanes that do, where not all do
 
     # ----------------------------------------------------------------------------------------------------------------
     # The whole
@@ -74,7 +75,8 @@ class Emitter:
         """Names and sizes [bytes] of what is written to."""
         ops = (self.program.ops[v] for v in self.live.needed)
         used = sorted({op.args.memory.number for op in ops if op.code == "store"})
-        return [(f"scratch{k}", self.text.width * size * BYTES[kind]) for k in used for kind, size in [self.program.scratch[k]]]
+        lanes = lambda k: 1 if k in self.live.common else self.text.width
+        return [(f"scratch{k}", lanes(k) * size * BYTES[kind]) for k in used for kind, size in [self.program.scratch[k]]]
 
     def _output(self, number: int, first: int, count: int) -> None:
         row, values = self.program.outputs[number], self.values
@@ -82,12 +84,33 @@ class Emitter:
             self._copied(number, row.memory)
             return
         block = row[first : first + count]
+        if self.program.team:
+            self._common(number, first, block)
+            return
         kind = values.kind(block[0])
         columns = [self.text.as_stored(values.name(v, True), kind) for v in block]
         write_rows(self.text, f"%out{number}", len(row), first, columns, stored(kind))
 
+    def _common(self, number: int, first: int, block: Sequence[int]) -> None:
+        """Numbers that the lanes of a team have in common, into its row."""
+        t = self.text
+        for k, v in enumerate(block):
+            if self.values.is_wide(v):
+                raise Unsupported("a team's result that is not the same in all lanes")
+            kind = self.values.kind(v)
+            place = t.assign(f"getelementptr {stored(kind)}, ptr %out{number}, i64 {first + k}")
+            t.line(f"store {stored(kind)} {t.as_stored(self.values.name(v, False), kind, False)}, ptr {place}")
+
     def _copied(self, number: int, memory: Memory) -> None:
         """A lane's scratch into its row, in a loop over a few columns at a time; the last may have been copied before."""
+        if self.program.team:
+            if memory.number not in self.live.common:
+                raise Unsupported("a team's result that is not the same in all lanes")
+            size = memory.size * BYTES[memory.type]
+            self.text.line(
+                f"call void @llvm.memcpy.p0.p0.i64(ptr %out{number}, ptr %scratch{memory.number}, i64 {size}, i1 false)"
+            )
+            return
         t, kind, size = self.text, stored(memory.type), memory.size
         count, shape = together(size, t.width), t.vector(kind)
         before, head, end = t.block, t.label("copy"), t.label("copied")
@@ -125,7 +148,16 @@ class Emitter:
         elif op.code == "load":
             self.memory.load(v, op.args)
         elif op.code == "store":
-            self.memory.store(op.args)
+            self.memory.store(op.args, self.taking_part)
+        elif op.code == "lane":
+            numbers = ", ".join(f"i32 {k}" for k in range(self.text.width))
+            self.values.define(v, self.text.same(self.text.vector("i32"), f"<{numbers}>"))
+        elif op.code.startswith("team"):
+            if self.live.is_parted(v):
+                raise Unsupported("a collective of a team where its lanes part")
+            self.values.define(
+                v, collective(self.text, op.code, self.values.kind(op.args[0]), self.values.name(op.args[0], True))
+            )
         elif op.code != "result":  # named by the loop or branch that it comes from
             self.values.define(v, instruction(self.text, self._expression(op, self.values.is_wide(v))))
 
@@ -147,7 +179,10 @@ class Emitter:
         for name in (*(loop.params[i] for i in kept), *loop.turn):
             values.broadcast(name)
         running = self._test(v, loop, body, end) if loop.test is not None else None
+        outside = self.taking_part
+        self._part(running)
         self._operations(loop.body)
+        self.taking_part = outside
         again = {i: self._carried(loop, i, running) for i in kept}
         last, lines = t.block, []
         for i, new in again.items():
@@ -198,6 +233,12 @@ class Emitter:
         t.line(f"br i1 {more}, label %{head}, label %{end}")
         return f"  %v{turn} = phi i32 [ 0, %{before} ], [ {step}, %{last} ]"
 
+    def _part(self, truths: str | None) -> None:
+        """From here on only those lanes take part for which it holds, of those that do."""
+        if truths is not None and self.taking_part is not None:
+            truths = self.text.assign(f"and {self.text.vector('i1')} {truths}, {self.taking_part}")
+        self.taking_part = truths or self.taking_part
+
     def _any(self, truths: str) -> str:
         """Whether it holds in some lane."""
         t = self.text
@@ -212,8 +253,14 @@ class Emitter:
         truth, holds = t.shape("i1", wide), self.values.name(branch.condition, wide)
         results = {i: self.live.result(v, i) for i in sorted(self.live.results.get(v, ()))}
         fails = t.assign(f"xor {truth} {holds}, {t.constant(True, 'i1', wide)}")
-        yes = self._side(branch.yes, {r: branch.yes_values[i] for i, r in results.items()}, self._any(holds) if wide else holds)
-        no = self._side(branch.no, {r: branch.no_values[i] for i, r in results.items()}, self._any(fails) if wide else fails)
+        found = []
+        for body, values, taken in ((branch.yes, branch.yes_values, holds), (branch.no, branch.no_values, fails)):
+            outside = self.taking_part
+            self._part(taken if wide else None)
+            gives = {r: values[i] for i, r in results.items()}
+            found.append(self._side(body, gives, self._any(taken) if wide else taken))
+            self.taking_part = outside
+        yes, no = found
         for result, a, b in zip(results.values(), yes, no, strict=True):
             shape = self.values.shape(result)
             self.values.define(result, f"select {truth} {holds}, {shape} {a}, {shape} {b}")

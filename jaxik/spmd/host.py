@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 from jaxik.spmd import call
-from jaxik.spmd.scalarise import Unsupported
+from jaxik.spmd.program import Unsupported
 from jaxik.spmd.threads import CHUNK, DONE, FIRST, INNER, NEXT, TOTAL, VECTORS
 from jaxik.spmd.trace import Traced, trace
 

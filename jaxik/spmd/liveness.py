@@ -19,6 +19,7 @@ class Liveness:
         self._around: dict[int, int] = {}  # operation -> the loop or branch that it stands in
         self._params: dict[int, tuple[int, int]] = {}  # a loop's parameter -> the loop and its number
         self._stores: dict[int, list[int]] = {}  # scratch -> what writes to it
+        self.common: set[int] = set()  # scratch that the lanes of a team have in common
         self._survey(program.top.body)
         self._mark()
         while self._spread():
@@ -84,6 +85,7 @@ class Liveness:
     def _spread(self) -> bool:
         """Marks what varies since what it is made of does; whether there was anything new: a loop carries it back."""
         before = len(self.varying)
+        self.common = {k for k, stores in self._stores.items() if self.program.team and not any(map(self._parts, stores))}
         for v in sorted(self.needed - self.varying):
             if self._varies(v):
                 self.varying.add(v)
@@ -92,10 +94,13 @@ class Liveness:
     def _varies(self, v: int) -> bool:
         ops, varying = self.program.ops, self.varying
         code, _, args = ops[v]
-        if code in ("const", "store"):
+        if code in ("const", "store") or code.startswith("team"):
             return False
+        if code == "lane":
+            return True
         if code == "load":
-            return args.at in varying or args.memory.kind == "scratch" or self.is_own(args)
+            own = args.memory.kind == "scratch" and args.memory.number not in self.common
+            return args.at in varying or own or self.is_own(args)
         if code == "param":
             if v not in self._params:
                 return False
@@ -110,6 +115,33 @@ class Liveness:
             split = whole in varying and ops[whole].code == "branch"
             return split or any(x in varying for x in self._sources(whole, i))
         return any(a in varying for a in args)
+
+    def _parts(self, store: int) -> bool:
+        """Whether lanes write different numbers or to different places, or some of them do not write."""
+        args, v = self.program.ops[store].args, store
+        if args.at in self.varying or args.value in self.varying:
+            return True
+        return self.is_parted(v)
+
+    def is_parted(self, v: int) -> bool:
+        """Whether some lanes may not take part in an operation: it stands in a loop or branch that varies."""
+        while v in self._around:
+            v = self._around[v]
+            if v in self.varying:
+                return True
+        return False
+
+    def consecutive(self, at: int) -> list[int] | None:
+        """The values, the same in every lane, that an index is the sum of beside the lane's own number; None for others."""
+        op = self.program.ops[at]
+        if op.code == "lane":
+            return []
+        if op.code != "add":
+            return None
+        for a, b in (op.args, op.args[::-1]):
+            if b not in self.varying and (found := self.consecutive(a)) is not None:
+                return [*found, b]
+        return None
 
     def is_own(self, address: Load | Store) -> bool:
         """Whether it reads a row that each lane has for itself."""

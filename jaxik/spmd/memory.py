@@ -62,9 +62,13 @@ class Values:
             pairs = zip(args.yes_values, args.no_values, strict=True)
             return {x for pair in pairs if self.is_wide(v) or any(map(self.is_wide, pair)) for x in pair}
         if isinstance(args, Store):
+            if args.memory.number in self.live.common:
+                return set()
             return {args.value} | ({args.at} if args.at is not None and self.is_wide(args.at) else set())
         if isinstance(args, Load):  # a lane's own row at an index that all lanes agree on
             return {args.at} if self.live.is_own(args) and args.at is not None else set()
+        if code.startswith("team"):
+            return set(args)
         return set(args) if code not in ("const", "param", "result") and self.is_wide(v) else set()
 
 
@@ -79,24 +83,47 @@ class Accesses:
     def load(self, v: int, load: Load) -> None:
         t, memory, kind = self.text, load.memory, load.memory.type
         index_varies = load.at in self.live.varying
+        beside = self._beside(load)
         if self.live.is_own(load) and load.at is None:
             t.line(f"%v{v} = " + t.as_truth(self._column(memory, load.offset), kind, True))
-        elif (memory.kind == "scratch" and not index_varies) or not self.values.is_wide(v):
-            wide = memory.kind == "scratch"
+        elif beside is not None:
+            shape, memory_kind = t.vector(stored(kind)), stored(kind)
+            read = f"load {shape}, ptr {self._address(load._replace(at=None), memory_kind, beside)}, align {BYTES[kind]}"
+            t.line(f"%v{v} = " + t.as_truth(t.assign(read), kind, True))
+        elif (self._apart(memory) and not index_varies) or not self.values.is_wide(v):
+            wide = self._apart(memory)
             shape = t.shape(stored(kind), wide)
             read = f"load {shape}, ptr {self._address(load, shape)}, align {t.align(kind) if wide else BYTES[kind]}"
             self.values.define(v, t.as_truth(t.assign(read), kind, wide) if kind == "i1" else read)
         else:
             t.line(f"%v{v} = " + t.as_truth(t.assign(self._masked("gather", load)), kind, True))
 
-    def store(self, store: Store) -> None:
+    def store(self, store: Store, taking_part: str | None) -> None:
+        """Writes what is `kept` from turn to turn in those lanes alone that take part, if not all do; other scratch is read by
+        nobody but in the turn that wrote it."""
         t, kind = self.text, store.memory.type
-        shape = t.vector(stored(kind))
-        value = f"{shape} {t.as_stored(self.values.name(store.value, True), kind)}"
+        wide = self._apart(store.memory)
+        shape, mask = t.shape(stored(kind), wide), taking_part if store.kept else None
+        value = t.as_stored(self.values.name(store.value, wide), kind, wide)
         if store.at in self.live.varying:
-            t.line(self._masked("scatter", store, value))
-        else:
-            t.line(f"store {value}, ptr {self._address(store, shape)}, align {t.align(kind)}")
+            t.line(self._masked("scatter", store, f"{shape} {value}", mask=mask))
+            return
+        place, aligned = self._address(store, shape), t.align(kind) if wide else BYTES[kind]
+        if mask is not None and wide:
+            before = t.assign(f"load {shape}, ptr {place}, align {aligned}")
+            value = t.assign(f"select {t.vector('i1')} {mask}, {shape} {value}, {shape} {before}")
+        t.line(f"store {shape} {value}, ptr {place}, align {aligned}")
+
+    def _apart(self, memory: Memory) -> bool:
+        """Whether each lane has scratch of its own, a lane beside the other."""
+        return memory.kind == "scratch" and memory.number not in self.live.common
+
+    def _beside(self, load: Load) -> list[int] | None:
+        """The values that the index of a load is the sum of, where lanes read neighbours of what they have in common."""
+        if load.at not in self.live.varying or self._apart(load.memory) or self.live.is_own(load):
+            return None
+        assert load.at is not None
+        return self.live.consecutive(load.at)
 
     def _column(self, memory: Memory, number: int) -> str:
         """An entry of the lanes' own rows; read with its neighbours, once."""
@@ -108,9 +135,12 @@ class Accesses:
                 self._columns[place] = _read(self.text, _base(memory), memory.size, first, stored(memory.type))
         return self._columns[place][number - first]
 
-    def _address(self, access: Load | Store, shape: str) -> str:
-        """One address for all lanes."""
+    def _address(self, access: Load | Store, shape: str, terms: Sequence[int] = ()) -> str:
+        """One address for all lanes; that of the first, with the other `terms` of an index."""
         t, place = self.text, _base(access.memory)
+        for term in terms:
+            index = t.assign(f"sext i32 {self.values.name(term, False)} to i64")
+            place = t.assign(f"getelementptr {shape}, ptr {place}, i64 {index}")
         if access.at is not None:
             index = t.assign(f"sext i32 {self.values.name(access.at, False)} to i64")
             place = t.assign(f"getelementptr {shape}, ptr {place}, i64 {index}")
@@ -121,7 +151,7 @@ class Accesses:
         t, n, memory = self.text, self.text.width, access.memory
         index = "zeroinitializer" if access.at is None else self.values.name(access.at, True)
         numbers, step = t.assign(f"add <{n} x i32> {index}, splat (i32 {access.offset})"), 0
-        if memory.kind == "scratch":
+        if self._apart(memory):
             numbers, step = t.assign(f"mul <{n} x i32> {numbers}, splat (i32 {n})"), 1
         elif self.live.is_own(access):
             step = memory.size
@@ -130,12 +160,12 @@ class Accesses:
             numbers = t.assign(f"add <{n} x i32> {numbers}, <{lanes}>")
         return t.assign(f"getelementptr {stored(memory.type)}, ptr {_base(memory)}, <{n} x i32> {numbers}")
 
-    def _masked(self, what: str, access: Load | Store, *value: str) -> str:
-        """A gather, or a scatter of a value: lanes at addresses of their own, all of them, though LLVM asks for a mask."""
+    def _masked(self, what: str, access: Load | Store, *value: str, mask: str | None = None) -> str:
+        """A gather, or a scatter of a value: lanes at addresses of their own, all of them if there is no `mask`."""
         t, n, kind = self.text, self.text.width, access.memory.type
         shape, where = t.vector(stored(kind)), f"<{n} x ptr> {self._addresses(access)}"
         rest: Sequence[str] = [f"{shape} zeroinitializer"] if what == "gather" else []
-        args = [*value, where, f"i32 {BYTES[kind]}", f"<{n} x i1> splat (i1 true)", *rest]
+        args = [*value, where, f"i32 {BYTES[kind]}", f"<{n} x i1> {mask or 'splat (i1 true)'}", *rest]
         gives = shape if what == "gather" else "void"
         types = [*([shape] if value else []), f"<{n} x ptr>", "i32", f"<{n} x i1>", *([shape] if rest else [])]
         name = f"@llvm.masked.{what}.v{n}{mangled(stored(kind))}.v{n}p0"

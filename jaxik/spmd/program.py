@@ -41,6 +41,10 @@ def limits(dtype: np.dtype[Any]) -> tuple[Any, Any]:
     return (False, True) if dtype.kind == "b" else (int(np.iinfo(dtype).min), int(np.iinfo(dtype).max))
 
 
+class Unsupported(NotImplementedError):  # noqa: N818 - of functions that are in order, and run elsewhere
+    """The error of what a kernel cannot do; one line names it. `HostKernel.run` raises it, `kernel` warns and goes to XLA."""
+
+
 class Op(NamedTuple):
     """An operation: its code, the type of its value, and its arguments: values, or a `Load`, `Store`, `Loop` or `Branch`."""
 
@@ -59,12 +63,14 @@ class Load(NamedTuple):
 
 
 class Store(NamedTuple):
-    """Arguments of a `store` of a `value`, addressed as a `load` is."""
+    """Arguments of a `store` of a `value`, addressed as a `load` is. What is `kept` from turn to turn of a loop is written by
+    those lanes alone that take part."""
 
     memory: Memory
     offset: int
     at: int | None
     value: int
+    kept: bool = False
 
 
 class Loop(NamedTuple):
@@ -132,6 +138,7 @@ class Program:
 
     def __init__(self) -> None:
         self.structural = False
+        self.team = False  # whether the lanes work together on one row, or each has one of its own
         self.ops: list[Op] = []
         self.depth: list[int] = []
         self.constant: dict[int, Any] = {}  # value -> its number, a NumPy scalar
@@ -229,9 +236,9 @@ class Program:
         op = Op("load", memory.type, Load(memory, offset, index, after))
         return self.place(op, [v for v in (index, after) if v is not None])
 
-    def store(self, memory: Memory, offset: int, index: int | None, value: int, level: int = -1) -> int:
+    def store(self, memory: Memory, offset: int, index: int | None, value: int, level: int = -1, kept: bool = False) -> int:
         """Writes to scratch, at the end of a block; the store's own value is what a load comes `after`."""
-        return self.append(Op("store", memory.type, Store(memory, offset, index, value)), level)
+        return self.append(Op("store", memory.type, Store(memory, offset, index, value, kept)), level)
 
     # ----------------------------------------------------------------------------------------------------------------
     # Loops and branches
@@ -427,7 +434,13 @@ def _extreme(p: Program, type: str, a: int, b: int) -> int | None:
     return a if a == b else None
 
 
+def _less(p: Program, type: str, a: int, b: int) -> int | None:
+    """A lane's own number is not below 0, as which JAX counts from the end of an axis."""
+    return p.number(False, "i1") if p.ops[a].code == "lane" and p.constant.get(b) == 0 else None
+
+
 _FOLDS: dict[str, Callable[..., int | None]] = {
+    "lt": _less,
     "add": _add,
     "sub": _sub,
     "mul": _mul,

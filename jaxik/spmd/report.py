@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.spmd import call, machine
-from jaxik.spmd.scalarise import Unsupported
+from jaxik.spmd.program import Unsupported
 from jaxik.spmd.trace import trace
 
 _NO_WORK = ("loop", "branch", "result", "param", "const")  # what holds others, or is none

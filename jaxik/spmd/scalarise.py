@@ -17,15 +17,16 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
-from jaxik.spmd.program import DTYPES, TYPES, Block, Memory, Program, Whole
+from jaxik.spmd.program import DTYPES, TYPES, Block, Memory, Program, Unsupported, Whole
 from jaxik.spmd.tangents import has_blocks, tangents
-from jaxik.spmd.trace import Traced
+from jaxik.spmd.trace import TEAM_SIZE, Traced
 
 UNROLLED = 64  # operations of a scan's turns together, up to which it is written out
 FLAT = 32  # operations of both sides, up to which a branch is a selection
 CHOICES = 8  # entries, up to which a computed index selects instead of reading memory
 MOST = 200_000  # operations of a program: beyond, compilers take minutes
 LARGEST = 16_384  # entries of an array whose every entry is a value
+KEPT = 256  # entries of an array, beyond which a loop keeps it in memory and writes there in place
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,10 +42,6 @@ class Computed:
 
 
 Index = int | Computed
-
-
-class Unsupported(NotImplementedError):  # noqa: N818 - of functions that are in order, and run elsewhere
-    """The error of what a kernel cannot do; one line names it. `HostKernel.run` raises it, `kernel` warns and goes to XLA."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -101,6 +98,7 @@ class Scalariser:
         self.tangents: Set[Any] | None = frozenset()  # None: what is not known yet is of tangents
         # what is copied to memory, and the block whose lanes have written it: another block may not have run
         self.spilled: dict[int, tuple[Array, Array, Block]] = {}
+        self.kept: dict[int, int] = {}  # scratch that is written in place, and the value after which it is as it is now
 
     def run(self, jaxpr: Jaxpr, consts: Sequence[Array], args: Sequence[Array]) -> list[Array]:
         env: dict[Any, Array] = {}
@@ -121,7 +119,7 @@ class Scalariser:
             avals: list[Any] = [v.aval for v in eqn.outvars]
             if any(x.shape != a.shape for x, a in zip(results, avals, strict=True)):
                 raise Unsupported(f"the primitive '{eqn.primitive.name}' of these shapes")
-            env.update(zip(eqn.outvars, results, strict=True))
+            env.update(zip(eqn.outvars, map(self._settled, results), strict=True))
         return [read(v) for v in jaxpr.outvars]
 
     def traced(self, traced: Traced, args: Sequence[Array]) -> list[Array]:
@@ -165,6 +163,7 @@ class Scalariser:
         """The array's entries as values; read now if they are in memory."""
         if array.memory is None:
             return array.at
+        self.current(array)
         if array.at.size > LARGEST:
             raise Unsupported(f"an array of {array.at.size} entries, each used")
         load, memory = self.program.load, array.memory
@@ -177,7 +176,8 @@ class Scalariser:
         large = memory is not None and memory.kind == "scratch" and size == memory.size > UNROLLED
         if large and np.array_equal(array.at.ravel(), np.arange(size)):
             assert memory is not None and array.after is not None
-            return Whole(memory, array.after)
+            self.current(array)
+            return Whole(memory, self.program.top.body[-1] if self.is_kept(array) else array.after)
         return list(self.values(array).ravel().tolist())
 
     def entry(self, array: Array, place: Sequence[Index]) -> int:
@@ -190,6 +190,7 @@ class Scalariser:
             array = self.in_memory(array)
         p = self.program
         if array.memory is not None and array.strides is not None:
+            self.current(array)
             return p.load(array.memory, int(array.at[fixed]), self.offset(place, array.strides), array.after)
         axis, index = computed[0]  # one choice after the other
         pick = lambda k: self.entry(array, [*place[:axis], index.shift + k, *place[axis + 1 :]])
@@ -230,6 +231,74 @@ class Scalariser:
         self.spilled[id(array)] = array, spilled, p.blocks[level]  # the array is kept, so that its id is
         return spilled
 
+    # ----------------------------------------------------------------------------------------------------------------
+    # Arrays that a loop keeps in memory
+
+    def is_kept(self, array: Array) -> bool:
+        """Whether it is memory that is written in place, or a part of it."""
+        return array.memory is not None and array.memory.kind == "scratch" and array.memory.number in self.kept
+
+    def current(self, array: Array) -> None:
+        """Raises `Unsupported` for what an array was before it was written to."""
+        if self.is_kept(array) and self.kept[array.memory.number] != array.after:  # type: ignore[union-attr]
+            raise Unsupported("an array in a loop that is read as it was before it was written to")
+
+    def whole(self, array: Array) -> bool:
+        """Whether it is all of memory that is written in place, in order, and as it is now."""
+        if not self.is_kept(array) or self.kept[array.memory.number] != array.after:  # type: ignore[union-attr]
+            return False
+        return array.at.size == array.memory.size and np.array_equal(array.at.ravel(), np.arange(array.at.size))  # type: ignore[union-attr]
+
+    def keep(self, array: Array) -> Array:
+        """The same numbers in memory that is written in place."""
+        if self.whole(array):
+            return array
+        memory = self.program.room(array.type, array.at.size)
+        self.kept[memory.number] = 0
+        return self.put(memory, array)
+
+    def put(self, memory: Memory, array: Array) -> Array:
+        """Writes an array to memory that is kept: one number over and over, what lies in a row, or value by value."""
+        p, size, here = self.program, array.at.size, np.arange(array.at.size).reshape(array.shape)
+        flat, source, lies = array.at.ravel(), array.memory, None
+        if source is None:
+            same = bool((flat == flat[0]).all())
+            lies = (lambda i: int(flat[0])) if same else None
+        elif array.strides is not None and (size == 1 or (np.diff(flat) == 1).all()):
+            self.current(array)
+            lies = lambda i: p.load(source, int(flat[0]), i, array.after)
+        if lies is None or size <= CHOICES:
+            for k, v in enumerate(self.values(array).ravel().tolist()):
+                self.kept[memory.number] = p.store(memory, k, None, v, kept=True)
+        else:
+
+            def turn(flat: list[int]) -> list[int]:
+                p.store(memory, 0, flat[0], lies(flat[0]), kept=True)
+                return []
+
+            p.loop([], size, turn)
+            self.kept[memory.number] = len(p.ops) - 1
+        return Array(here, array.type, memory, self.kept[memory.number])
+
+    def seen(self, array: Array) -> Array:
+        """Kept memory as a loop's turn, or what comes after it, finds it: nothing of it may be read before."""
+        assert array.memory is not None
+        return dataclasses.replace(array, after=self.written(array.memory.number))
+
+    def written(self, number: int) -> int:
+        """The value after which kept memory is as a block leaves it; no instruction gives it."""
+        self.kept[number] = self.program.param("i1")
+        return self.kept[number]
+
+    def _settled(self, array: Array) -> Array:
+        """A part of kept memory is read when it is taken: later it may be another."""
+        if self.is_kept(array) and array.at.size < array.memory.size:  # type: ignore[union-attr]
+            return Array(self.values(array), array.type)
+        return array
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # Indices
+
     def index(self, value: int) -> int:
         """An index of a type that holds any axis' length."""
         return self.program.op("convert", "i32", value) if DTYPES[self.program.ops[value].type].itemsize < 4 else value
@@ -240,6 +309,8 @@ class Scalariser:
         known = p.constant.get(value)
         if known is not None:
             return min(max(int(known), 0), last)
+        if p.ops[value].code == "lane" and last >= TEAM_SIZE - 1:
+            return Computed(value, last + 1)
         kind = p.ops[value].type
         if last == 0:
             return 0

@@ -152,6 +152,6 @@ class Text(Lines):
         shape = self.shape(stored(kind), wide)
         return f"icmp ne {shape} {value}, {self.zero('i8', wide)}" if kind == "i1" else self.same(shape, value)
 
-    def as_stored(self, value: str, kind: str) -> str:
-        """A vector as it is stored."""
-        return self.assign(f"zext {self.vector('i1')} {value} to {self.vector('i8')}") if kind == "i1" else value
+    def as_stored(self, value: str, kind: str, wide: bool = True) -> str:
+        """A value as it is stored."""
+        return self.assign(f"zext {self.shape('i1', wide)} {value} to {self.shape('i8', wide)}") if kind == "i1" else value

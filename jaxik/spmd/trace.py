@@ -17,6 +17,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 from jaxik.spmd.tangents import custom, is_linear
 
 _OPERAND = 512  # entries of an array that is closed over, from which it is an operand: another table compiles nothing
+TEAM, TEAM_SIZE = "team", 16  # the axis of lanes that work together; as many whatever a machine's vectors hold
 _FUNCTIONS = ("jvp_jaxpr_fun", "fwd_jaxpr_thunk", "bwd", "fwd", "out_trees", "transpose_rules", "rule", "in_tree", "out_tree")
 
 
@@ -74,10 +75,12 @@ class Traced:
         return not custom(self.closed.jaxpr) or is_linear(closed.jaxpr, variables, closed.consts, len(self.outputs))
 
 
-def trace(function: Callable[..., Any], args: Sequence[Any]) -> tuple[Traced, Any, list[Any]]:
-    """The function of flat `args`, the tree of its results, and what it closes over that is an operand."""
+def trace(function: Callable[..., Any], args: Sequence[Any], team: bool = False) -> tuple[Traced, Any, list[Any]]:
+    """The function of flat `args`, the tree of its results, and what it closes over that is an operand; a `team`'s lane may
+    speak to the others."""
+    axes = [(TEAM, TEAM_SIZE)] if team else None
     with on_one_device():
-        closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
+        closed, shape = jax.make_jaxpr(function, axis_env=axes, return_shape=True)(*args)
     tree = jax.tree_util.tree_structure(shape)
     outer = [isinstance(c, jax.core.Tracer) or np.size(c) >= _OPERAND for c in closed.consts]
     jaxpr = closed.jaxpr

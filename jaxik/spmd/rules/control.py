@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from jax.extend.core import Jaxpr
 
 from jaxik.spmd.scalarise import (
     FLAT,
+    KEPT,
     LARGEST,
     MOST,
     UNROLLED,
@@ -58,12 +60,10 @@ def _cond(s: Scalariser, eqn: Any, which: Array, *args: Array) -> list[Array]:
     known = p.constant.get(index)
     if known is not None:
         return s.closed(branches[int(np.clip(int(known), 0, len(branches) - 1))], args)
-    kinds, shapes = [type_of(v.aval) for v in eqn.outvars], [v.aval.shape for v in eqn.outvars]
+    sides = _Sides(s, eqn.outvars)
 
     def values(number: int) -> list[int]:
-        return [v for x in s.closed(branches[number], args) for v in s.values(x).ravel().tolist()]
-
-    flat_kinds = [k for k, shape in zip(kinds, shapes, strict=True) for _ in range(int(np.prod(shape)))]
+        return sides.flattened(lambda: s.closed(branches[number], args))
 
     def chosen(numbers: Sequence[int]) -> list[int]:
         if len(numbers) == 1:
@@ -75,10 +75,42 @@ def _cond(s: Scalariser, eqn: Any, which: Array, *args: Array) -> list[Array]:
             last = p.op("ge", "i1", index, p.number(numbers[half], p.ops[index].type))
         yes, no = lambda: chosen(numbers[half:]), lambda: chosen(numbers[:half])
         if sum(_weight(branches[k].jaxpr) for k in numbers) <= FLAT:
-            return [p.op("select", k, last, a, b) for k, a, b in zip(flat_kinds, yes(), no(), strict=True)]
+            return [p.op("select", p.ops[a].type, last, a, b) for a, b in zip(yes(), no(), strict=True)]
         return p.branch(last, yes, no)
 
-    return unflattened(chosen(range(len(branches))), shapes, kinds)
+    return sides.arrays(chosen(range(len(branches))))
+
+
+class _Sides:
+    """What the sides of a branch give, as `outputs` of an equation: values, and arrays that were in memory before it, to which
+    any of them may have written."""
+
+    def __init__(self, s: Scalariser, outputs: Sequence[Any]):
+        self.s, self.outputs, self.before, self.after = s, outputs, dict(s.kept), dict(s.kept)
+        self.kept: dict[int, Array] | None = None
+
+    def flattened(self, side: Callable[[], list[Array]]) -> list[int]:
+        """The values of a side; each finds the memory as it was."""
+        s = self.s
+        s.kept = dict(self.before)
+        found = side()
+        kept = {i: x for i, x in enumerate(found) if s.is_kept(x) and x.memory.number in self.before and s.whole(x)}  # type: ignore[union-attr]
+        self.kept = kept if self.kept is None else self.kept
+        if {i: x.memory for i, x in kept.items()} != {i: x.memory for i, x in self.kept.items()}:
+            raise Unsupported("a branch that hands back another array than the one it writes to")
+        self.after |= {k: s.kept[k] for k in self.before if s.kept[k] != self.before[k]}
+        return [v for i, x in enumerate(found) if i not in kept for v in s.values(x).ravel().tolist()]
+
+    def arrays(self, flat: Sequence[int]) -> list[Array]:
+        s, kept = self.s, self.kept or {}
+        s.kept = dict(self.before)
+        for number, after in self.after.items():
+            if after != self.before[number]:
+                s.written(number)
+        flowing = [v.aval for i, v in enumerate(self.outputs) if i not in kept]
+        others = iter(unflattened(flat, [a.shape for a in flowing], [type_of(a) for a in flowing]))
+        as_now = lambda x: dataclasses.replace(x, after=s.kept[x.memory.number])
+        return [as_now(kept[i]) if i in kept else next(others) for i in range(len(self.outputs))]
 
 
 class _Carried:
@@ -88,18 +120,32 @@ class _Carried:
         inputs = body.invars[first_in : first_in + len(init)]
         self.changes = [body.outvars[i] is not inputs[i] for i in range(len(init))]
         self.init = list(init)
-        changing = [x for x, c in zip(init, self.changes, strict=True) if c]
-        self.shapes, self.kinds = [x.shape for x in changing], [x.type for x in changing]
-        self.flat = [v for x in changing for v in s.values(x).ravel().tolist()]
+        self.kept: dict[int, Array] = {}
+        for i, x in enumerate(init):
+            if self.changes[i] and x.at.size > KEPT:
+                taken = any(x.memory == other.memory for other in self.kept.values())
+                self.kept[i] = s.put(s.program.room(x.type, x.at.size), x) if taken else s.keep(x)
+        self.flows = [c and i not in self.kept for i, c in enumerate(self.changes)]
+        flowing = [x for x, f in zip(init, self.flows, strict=True) if f]
+        self.shapes, self.kinds = [x.shape for x in flowing], [x.type for x in flowing]
+        self.flat = [v for x in flowing for v in s.values(x).ravel().tolist()]
         if len(self.flat) > LARGEST // 4:
             raise Unsupported(f"a loop that carries {len(self.flat)} numbers")
 
-    def arrays(self, flat: Sequence[int]) -> list[Array]:
-        changing = iter(unflattened(flat, self.shapes, self.kinds))
-        return [next(changing) if c else x for x, c in zip(self.init, self.changes, strict=True)]
+    def arrays(self, s: Scalariser, flat: Sequence[int]) -> list[Array]:
+        flowing = iter(unflattened(flat, self.shapes, self.kinds))
+        seen = {i: s.seen(x) for i, x in self.kept.items()}
+        return [
+            seen[i] if i in seen else next(flowing) if f else x
+            for i, (x, f) in enumerate(zip(self.init, self.flows, strict=True))
+        ]
 
     def flattened(self, s: Scalariser, arrays: Sequence[Array]) -> list[int]:
-        return [v for x, c in zip(arrays, self.changes, strict=True) if c for v in s.values(x).ravel().tolist()]
+        found = [v for x, f in zip(arrays, self.flows, strict=True) if f for v in s.values(x).ravel().tolist()]
+        for i, x in self.kept.items():
+            if not (s.whole(arrays[i]) and arrays[i].memory == x.memory):
+                raise Unsupported(f"a loop that hands back another array of {x.at.size} numbers than the one it writes to")
+        return found
 
 
 def _where(s: Scalariser, truth: Array, yes: Array, no: Array) -> Array:
@@ -116,19 +162,21 @@ def _while(s: Scalariser, eqn: Any, *args: Array) -> list[Array]:
     carried = _Carried(s, init, p["body_jaxpr"].jaxpr, m)
 
     def test(flat: list[int]) -> Array:
-        return s.closed(p["cond_jaxpr"], [*test_consts, *carried.arrays(flat)])[0]
+        return s.closed(p["cond_jaxpr"], [*test_consts, *carried.arrays(s, flat)])[0]
 
     def again(flat: list[int]) -> int:
         return s.fold("or", "i1", s.values(test(flat)).ravel().tolist())
 
     def body(flat: list[int]) -> list[int]:
-        after = s.closed(p["body_jaxpr"], [*body_consts, *carried.arrays(flat)])
         goes_on = test(flat)
+        after = s.closed(p["body_jaxpr"], [*body_consts, *carried.arrays(s, flat)])
         if goes_on.shape:  # a loop under `vmap`: a truth a row, and rows that are done keep what they have
-            after = [_where(s, goes_on, x, old) for x, old in zip(after, carried.arrays(flat), strict=True)]
+            if carried.kept:
+                raise Unsupported("a batch of loops that write to an array in place")
+            after = [_where(s, goes_on, x, old) for x, old in zip(after, carried.arrays(s, flat), strict=True)]
         return carried.flattened(s, after)
 
-    return carried.arrays(s.program.loop(carried.flat, again, body))
+    return carried.arrays(s, s.program.loop(carried.flat, again, body))
 
 
 @rule("scan")
@@ -160,7 +208,7 @@ def _scan(s: Scalariser, eqn: Any, *args: Array) -> list[Array]:
             i = p.op("sub", "i32", p.number(length - 1, "i32"), i)
         rows = [s.window(x, [Computed(i, length), *[0] * (len(x.shape) - 1)], [1, *x.shape[1:]]) for x in xs]
         rows = [r.rearranged(r.at[0]) for r in rows]
-        found = s.closed(body, [*consts, *carried.arrays(now), *rows])
+        found = s.closed(body, [*consts, *carried.arrays(s, now), *rows])
         for room, y in zip(rooms, found[m:], strict=True):
             flat_y = s.values(y).ravel().tolist()
             start = p.op("mul", "i32", i, p.number(len(flat_y), "i32"))
@@ -174,4 +222,4 @@ def _scan(s: Scalariser, eqn: Any, *args: Array) -> list[Array]:
         Array(np.arange(room.size).reshape(v.aval.shape), kind, room, after)
         for room, kind, v in zip(rooms, kinds, outputs, strict=True)
     ]
-    return [*carried.arrays(ends), *ys]
+    return [*carried.arrays(s, ends), *ys]

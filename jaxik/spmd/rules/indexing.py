@@ -126,6 +126,8 @@ def _dynamic_update_slice(s: Scalariser, eqn: Any, x: Array, update: Array, *sta
 def _updated(s: Scalariser, x: Array, spots: Sequence[Any], join: Callable[[int, int], int]) -> Array:
     """x with values joined in. A spot is an index an axis; the condition under which it is there at all, or None; and the
     value. Few places are chosen among by selections, many written to scratch."""
+    if s.is_kept(x):
+        return _written(s, x, spots, join)
     p, old = s.program, s.values(x).copy()
     choices = lambda spot: [
         range(i.shift, n) if isinstance(i, Computed) else (i,) for i, n in zip(spot, old.shape, strict=True)
@@ -144,17 +146,25 @@ def _updated(s: Scalariser, x: Array, spots: Sequence[Any], join: Callable[[int,
 
 
 def _written(s: Scalariser, x: Array, spots: Sequence[Any], join: Callable[[int, int], int]) -> Array:
-    p, memory = s.program, s.program.room(x.type, x.at.size)
+    """x written to: where it is, if a loop keeps it in memory, or to a copy."""
+    p, kept = s.program, s.is_kept(x)
     strides = [int(np.prod(x.shape[k + 1 :])) for k in range(len(x.shape))]
-    after = 0
-    for i, v in enumerate(s.values(x).ravel().tolist()):
-        after = p.store(memory, i, None, v)
+    if kept:
+        x = s.keep(x)  # of another order it is copied
+        memory, after = x.memory, x.after
+    else:
+        memory, after = p.room(x.type, x.at.size), 0
+        for i, v in enumerate(s.values(x).ravel().tolist()):
+            after = p.store(memory, i, None, v)
+    assert memory is not None
     for spot, holds, value in spots:
         offset, index = int(np.dot(fixed_part(spot), strides)), s.offset(spot, strides)
         before = p.load(memory, offset, index, after)
         new = join(before, value)
         new = new if holds is None else p.op("select", x.type, holds, new, before)
-        after = p.store(memory, offset, index, new)
+        after = p.store(memory, offset, index, new, kept=kept)
+    if kept:
+        s.kept[memory.number] = after  # type: ignore[assignment]
     return Array(np.arange(x.at.size).reshape(x.shape), x.type, memory, after)
 
 

@@ -1,0 +1,173 @@
+"""Lanes that work together on one row, and arrays that a loop keeps in memory: as `vmap` and XLA have them."""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+from numpy.testing import assert_allclose, assert_array_equal
+
+from jaxik import spmd
+from jaxik.spmd import TEAM, HostKernel, kernel, team
+
+RNG = np.random.default_rng(0)
+
+
+@pytest.fixture(autouse=True)
+def by_a_kernel():
+    """What would go to XLA fails here."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def alike(function, *args, in_axes=0, rtol=1e-6):
+    """The kernel's results over a batch, which are those of XLA's operations."""
+    ours = jax.jit(jax.vmap(kernel(function), in_axes))(*args)
+    theirs = jax.jit(jax.vmap(function, in_axes))(*args)
+    jax.tree_util.tree_map(lambda a, b: assert_allclose(a, b, rtol=rtol, atol=1e-6), ours, theirs)
+    return ours
+
+
+def test_collectives_speak_to_all_lanes():
+    """Sums, least and largest of floats, integers and truths, of what varies and of what all lanes have in common."""
+
+    def lane(x):
+        me = lax.axis_index(TEAM)
+        y = jnp.sin(x + me)
+        ints, truths = (3 * me) % 7 - 2, me == 11
+        all_of = lambda what: (lax.psum(what, TEAM), lax.pmax(what, TEAM), lax.pmin(what, TEAM))
+        return all_of(y), all_of(ints), all_of(x), lax.pmax(truths, TEAM), lax.pmin(truths, TEAM), lax.pmax(y > 2.0, TEAM)
+
+    x = RNG.normal(size=33).astype(np.float32)
+    found = alike(team(lane), x)
+    values = np.sin(x[:, None] + np.arange(16))
+    assert_allclose(found[0][0], values.sum(1), rtol=1e-5)
+    assert_allclose(found[0][1], values.max(1), rtol=1e-6)
+    assert_array_equal(found[3], True)
+    assert_array_equal(found[4], False)
+
+
+def test_nan_is_the_least_and_the_largest():
+    lane = lambda x: (lax.pmax(x * lax.axis_index(TEAM), TEAM), lax.pmin(x / lax.axis_index(TEAM), TEAM))
+    found = alike(team(lane), np.array([1.0, np.nan, np.inf, 0.0], np.float32))
+    assert np.isnan(found[0]).tolist() == [False, True, True, False]
+
+
+@pytest.mark.parametrize("double", [False, True])
+def test_nearest_of_many_points(double):
+    """Each lane takes every sixteenth point; a kernel's rows have a team each, in both widths, by JAX and without it."""
+
+    def lane(points, x):
+        me = lax.axis_index(TEAM)
+        apart = jnp.linalg.norm(points[:, me] - x, axis=1)
+        least = lax.pmin(jnp.min(apart), TEAM)
+        return least, lax.pmin(jnp.where(jnp.min(apart) == least, jnp.argmin(apart) * 16 + me, 999), TEAM)
+
+    with jax.enable_x64(double):
+        points, x = RNG.normal(size=(9, 16, 3)), RNG.normal(size=(21, 3))
+        if not double:
+            points, x = points.astype(np.float32), x.astype(np.float32)
+        least, at = alike(team(lane), points, x, in_axes=(None, 0))
+        apart = np.linalg.norm(points.reshape(-1, 3) - x[:, None], axis=2)
+        assert_allclose(least, apart.min(1), rtol=1e-6)
+        assert_array_equal(at, apart.argmin(1))
+        host = HostKernel(lambda x, points: team(lane)(points, x), 1).run(x, points, double=double)
+        assert_array_equal(host[0], least)
+        assert_array_equal(host[1], at)
+
+
+def test_loops_and_branches_by_lanes_and_by_all():
+    """Lanes may part in loops and branches, so long as none speaks there."""
+
+    def lane(x):
+        me = lax.axis_index(TEAM)
+        turns, y = lax.while_loop(lambda c: c[1] < me, lambda c: (c[0] + 1, c[1] * 1.5 + x), (0, x))
+        y = lax.cond(me % 3 == 0, lambda: jnp.sin(y) * jnp.cos(y) + jnp.exp(-y), lambda: jnp.sqrt(jnp.abs(y)))
+        again = lambda c: (c[0] + lax.pmax(y, TEAM) * 0.1, c[1] + 1)
+        return lax.while_loop(lambda c: c[0] < 3.0, again, (x, 0)), lax.psum(turns, TEAM)
+
+    alike(team(lane), np.linspace(0.3, 2.0, 19, dtype=np.float32), rtol=1e-5)
+
+
+def test_a_collective_where_lanes_part_goes_to_xla():
+    def lane(x):
+        me = lax.axis_index(TEAM)
+        speak = lambda: lax.pmax(jnp.sin(x * me) + jnp.cos(x) * jnp.exp(x * me) / (1.0 + x**2) + jnp.tanh(x), TEAM)
+        return lax.pmin(lax.cond(me > 3, lambda: jnp.sin(speak()) * jnp.cos(speak() * me), lambda: x), TEAM)
+
+    assert "where its lanes part" in spmd.describe(team(lane), 1.0).refused
+
+
+def test_a_result_of_one_lane_is_refused():
+    assert "not the same in all lanes" in spmd.describe(team(lambda x: x + lax.axis_index(TEAM)), 1.0).refused
+    with pytest.raises(ValueError, match="out_axes"):
+        jax.vmap(team(lambda x: x + lax.axis_index(TEAM)))(np.ones(3))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Arrays that are kept in memory
+
+
+def test_a_table_is_written_in_place():
+    """At computed places, by lanes that end at different turns; also added to, by branches, and at none."""
+
+    def walked(n):
+        def turn(state):
+            i, table = state
+            table = table.at[(i * 7) % 400].add(i.astype(jnp.float32))
+            table = table.at[(i * 3) % 400].set(table[(i * 5) % 400] + 1.0)
+            table = table.at[jnp.where(i % 4 == 0, 1000, 3)].set(-1.0, mode="drop")
+            change = lambda t: t.at[i % 300].set(jnp.sin(i * 1.0) + t[5]).at[2].multiply(0.5)
+            return i + 1, lax.cond(i % 3 == 0, change, lambda t: t.at[(i + 1) % 300].add(2.0), table)
+
+        return lax.while_loop(lambda state: state[0] < n, turn, (0, jnp.arange(400.0)))[1]
+
+    alike(walked, 5 * np.arange(37), rtol=1e-5)
+
+
+def test_loops_in_loops_write_to_one_table():
+    def filled(n, x):
+        row = lambda i, table: lax.fori_loop(0, 20, lambda j, t: t.at[i, j].set(x * i + t[i, (j + 19) % 20]), table)
+        table = lax.fori_loop(0, n, row, jnp.ones((16, 20)))
+        return table[3], table.sum(), table
+
+    alike(filled, np.arange(1, 15), np.linspace(-1.0, 1.0, 14, dtype=np.float32), rtol=1e-5)
+
+
+def test_a_teams_table_is_one_for_all_lanes():
+    """A tree that grows: each new node is made of what all lanes find among the others."""
+
+    def lane(x, n):
+        me = lax.axis_index(TEAM)
+
+        def turn(state):
+            i, nodes, parent = state
+            mine = nodes[:, :, me]
+            apart = jnp.sum((mine - jnp.sin(x * (i + 1.0))[:, None]) ** 2, axis=0)
+            number = jnp.arange(20) * 16 + me
+            apart = jnp.where(number < i, apart, jnp.inf)
+            least = lax.pmin(jnp.min(apart), TEAM)
+            best = lax.pmin(jnp.where(jnp.min(apart) == least, number[jnp.argmin(apart)], 999), TEAM)
+            new = 0.5 * (nodes[:, best // 16, best % 16] + jnp.sin(x * (i + 1.0)))
+            return i + 1, nodes.at[:, i // 16, i % 16].set(new), parent.at[i].set(best)
+
+        begin = jnp.int32(1), jnp.zeros((3, 20, 16)), jnp.full(320, -1)
+        _, nodes, parent = lax.while_loop(lambda state: state[0] < n, turn, begin)
+        return nodes, parent
+
+    alike(team(lane), RNG.normal(size=(9, 3)).astype(np.float32), 40 * np.arange(9), rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("turn", "said"),
+    [
+        (lambda t: t.at[1].set(2.0).at[2].set(3.0) + 0.0 * t.at[5].set(1.0), "read as it was before"),
+        (lambda t: jnp.where(t[0] > 0, t, -t), "hands back another array"),
+    ],
+)
+def test_what_is_not_in_place_is_refused(turn, said):
+    walked = lambda n: lax.fori_loop(0, n, lambda i, t: turn(t), jnp.ones(300))
+    assert said in spmd.describe(walked, 3).refused
