@@ -169,9 +169,15 @@ def by_object(robot: Robot, count: int, around: Grouped, q: Any) -> Any:
 
 @kernel(models=1, order=_order)
 def _collides(robot: Robot, around: Grouped, q: Any, margin: Any) -> Any:
+    return collides_unless(robot, around, q, margin, lambda hit: hit)
+
+
+def collides_unless(robot: Robot, around: Grouped, q: Any, margin: Any, settled: Callable[[Any], Any]) -> Any:
+    """`collides`, where `settled` may end it sooner: of whether something is too near so far, whether no more need be known.
+    Nothing is checked. Traced."""
     q = as_configuration(robot, q)
     margin = jnp.asarray(margin, q.dtype)
-    least = Space(robot, at_margin(around, margin), q).all(margin, enough=margin).distance
+    least = Space(robot, at_margin(around, margin), q).all(margin, enough=margin, settled=settled).distance
     return ~((least >= margin) & (_unsound(robot, around, q) == 0.0))
 
 

@@ -103,13 +103,20 @@ class Space:
     # ----------------------------------------------------------------------------------------------------------------
     # Which pairs
 
-    def all(self, start: Any = jnp.inf, tracked: bool = False, enough: Any = None) -> Found:
-        """The nearest pair of all that are nearer than `start` [m]; the search ends where one is nearer than `enough`."""
+    def all(
+        self, start: Any = jnp.inf, tracked: bool = False, enough: Any = None, settled: Callable[[Any], Any] = lambda hit: hit
+    ) -> Found:
+        """The nearest pair of all that are nearer than `start` [m]; the search ends where one is nearer than `enough`, or where
+        `settled`, of whether one is, says so: a lane may know it from others."""
         self.enough = enough
 
         def step(p: Any, found: Found) -> Found:  # not a loop with an end a lane: then p would be a lane's own, too
             go_on = lambda found: self.part(p, found, self.own is None)
-            return go_on(found) if enough is None else lax.cond(found.distance < enough, lambda found: found, go_on, found)
+            return (
+                go_on(found)
+                if enough is None
+                else lax.cond(settled(found.distance < enough), lambda found: found, go_on, found)
+            )
 
         count, found = jnp.int32(len(self.trees.links)), self._start(start, tracked)
         # of a robot with an own shape all pairs together, so that few lanes wait for others

@@ -54,7 +54,7 @@ class HarvestPlanOptions(Options, who="plan_harvest"):
     margin: float = number(default=0.0, unit="m", words="least clearance on the way")
     velocity: Any = anything(default=None, words="as in `PlanOptions`, for each way")
     acceleration: Any = anything(default=None, words="as in `PlanOptions`, for each way")
-    rounds: int = count(default=200, words="as in `PlanOptions`, for each way")
+    rounds: int = count(default=20_000, words="as in `PlanOptions`, for each way")
 
     def check(self) -> None:
         if isinstance(self.order, str):

@@ -22,6 +22,7 @@ from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
 RESOLUTION = 1e-3  # [m] by which a motion must keep more than its margin to be proven free
+PIECE = 0.1  # [m] of a motion that are proven at once
 CLOSE = 1e-5  # [m] the same, where that proves nothing; float32 allows no less
 
 
@@ -71,16 +72,23 @@ class CollisionChecker:
         return part
 
     def proven(self, start: np.ndarray, end: np.ndarray, extra: Any = 0.0, resolution: float = RESOLUTION) -> np.ndarray:
-        """Whether straight motions are proven to keep the margin, and `extra` (b,) [m] beyond it, throughout."""
-        margins = np.broadcast_to(self.margin + np.asarray(extra, np.float32), len(start))
+        """Whether straight motions are proven to keep the margin, and `extra` (b,) [m] beyond it, throughout: piece by piece,
+        which lanes share better than whole motions."""
         turns = whole_turns(self.endless, start)  # float32 has few digits left after many
-        begin, finish = start - turns, end - turns
+        start, end = start - turns, end - turns
+        counts = np.maximum(1, np.ceil(self.length(end - start) / PIECE)).astype(int)
+        first = np.cumsum(counts) - counts
+        row, number = np.repeat(np.arange(len(start)), counts), np.arange(counts.sum()) - np.repeat(first, counts)
+        at = lambda k: start[row] + (k / counts[row])[:, None] * (end - start)[row]
+        margins = np.broadcast_to(self.margin + np.asarray(extra, np.float32), len(start))[row]
+        begin, finish = at(number), at(number + 1)
 
         def asked(robot: Robot, around: Any, rows: Any) -> np.ndarray:
             fixed = np.float32(resolution), self.size, around, self.carried
             return in_blocks(_moves(robot), begin[rows], finish[rows], margins[rows], fixed=fixed, double=False)[0]
 
-        return ~self._first_by_volumes(asked)
+        hit = self._first_by_volumes(asked)
+        return ~np.logical_or.reduceat(hit, first) if len(start) else np.zeros(0, bool)
 
     def _first_by_volumes(self, asked: Callable[[Robot, Any, Any], np.ndarray]) -> np.ndarray:
         """Whether rows hit, by `asked`, which takes a robot, its obstacles, and some of the rows: for an exact robot first by
@@ -129,23 +137,24 @@ def _apart(robot: Robot) -> tuple[Robot, Carried]:
     return (dataclasses.replace(robot, volumes=volumes) if carried else robot), carried
 
 
-def _together(robot: Robot, carried: Carried) -> Robot:
+def together(robot: Robot, carried: Carried) -> Robot:
+    """The robot with what it carries. Traced."""
     volumes = tuple(carried.get(i, v) for i, v in enumerate(robot.volumes))
     return dataclasses.replace(robot, volumes=volumes) if carried else robot
 
 
 @host_kernels(1)
 def _hits(robot: Robot, q: Any, margin: Any, obstacles: Any, carried: Carried) -> Any:
-    return collides(_together(robot, carried), obstacles, q, margin=margin)
+    return collides(together(robot, carried), obstacles, q, margin=margin)
 
 
 @host_kernels(1)
 def _objects(robot: Robot, count: int, q: Any, obstacles: Any, carried: Carried) -> Any:
-    return by_object(_together(robot, carried), count, obstacles, q)
+    return by_object(together(robot, carried), count, obstacles, q)
 
 
 @host_kernels(3)
 def _moves(
     robot: Robot, start: Any, end: Any, margin: Any, resolution: Any, size: Any, obstacles: Any, carried: Carried
 ) -> Any:
-    return motion_collides(_together(robot, carried), start, end, margin, resolution, size, obstacles)
+    return motion_collides(together(robot, carried), start, end, margin, resolution, size, obstacles)

@@ -88,15 +88,21 @@ class Search:
 
     def _tried(self, rows: np.ndarray, samples: np.ndarray) -> list[Solved]:
         """Motions from samples (s, k, n) for problems `rows` (s,), of each problem from its best ones first."""
+        if not len(rows):
+            return []
+        return self._in_turn(*self._compared(rows, samples), self._refined)
+
+    def _in_turn(
+        self, rank: np.ndarray, rows: np.ndarray, found: Any, refined: Callable[[np.ndarray, Any], Any]
+    ) -> list[Solved]:
+        """What is free of motions that were found, of each problem by their `rank` until one is."""
         kept = []
-        if len(rows):
-            rank, rows, found = self._compared(rows, samples)
-            for number in range(rank.max(initial=-1) + 1):
-                pick = (rank == number) & (self.reason[rows] != Reason.SOLVED)
-                if pick.any():
-                    first = jax.tree_util.tree_map(lambda x: x[pick], found)  # noqa: B023
-                    kept.append(self._freed(rows[pick], self._refined(rows[pick], first)))
-                    self.tell()
+        for number in range(rank.max(initial=-1) + 1):
+            pick = (rank == number) & (self.reason[rows] != Reason.SOLVED)
+            if pick.any():
+                first = jax.tree_util.tree_map(lambda x: x[pick], found)  # noqa: B023
+                kept.append(self._freed(rows[pick], refined(rows[pick], first)))
+                self.tell()
         return kept
 
     # ----------------------------------------------------------------------------------------------------------------
@@ -146,20 +152,16 @@ class Search:
     def _planned(self, space: CollisionChecker, rows: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Plans ways for problems, each as often as it has postures to end in. Returns those that have one, and samples along
         it, at rest at its ends."""
-        open_, each = np.unique(rows, return_inverse=True)
-        place = _ranks(rows, np.zeros(len(rows)), np.zeros(len(rows)))
-        goals = np.full((len(open_), place.max() + 1, ends.shape[1]), np.nan)
-        goals[each, place] = ends
         how = PlanOptions(margin=self.options.margin, velocity=1.0, acceleration=1.0, rounds=self.options.rounds)
-        found = plan_motion(self.robot, self.starts[open_], goals, scene=self.scene, seed=self.seed, options=how)
-        ways = {i: way for i, way in zip(open_, found.waypoints, strict=True) if way is not None}
+        found = plan_motion(self.robot, self.starts[rows], ends, scene=self.scene, seed=self.seed, options=how)
+        ways = [way for way in found.waypoints if way is not None]
         samples = np.empty((len(ways), 4 * self.options.spans + 1, ends.shape[1]))
         x = np.linspace(0.0, 1.0, samples.shape[1])
-        for row, way in zip(samples, ways.values(), strict=True):
+        for row, way in zip(samples, ways, strict=True):
             since = np.concatenate([[0.0], np.cumsum(space.length(np.diff(way, axis=0)))])
             at = ((6.0 * x - 15.0) * x + 10.0) * x**3 * since[-1]
             row[:] = np.stack([np.interp(at, since, joint) for joint in way.T], axis=1)
-        return np.array(list(ways), int), samples
+        return rows[[way is not None for way in found.waypoints]], samples
 
     # ----------------------------------------------------------------------------------------------------------------
     # The best of them
@@ -173,7 +175,7 @@ class Search:
         found = collocation.optimise(self._problem(rows, half, cautious=True), points, self.options.iterations, 1e-3, 1e-3)
         if half < self.levels[-1]:
             found = finer(found, self.options.degree)
-        return [self._freed(rows, found)]
+        return self._in_turn(_ranks(rows, found.cost, found.violation), rows, found, lambda rows, found: found)
 
     def _problem(
         self,

@@ -96,7 +96,7 @@ class TrajectoryOptions(Options, who="optimise_trajectory"):
     via_task: Task = instance(default=POSITION, kind=Task, words="what each pose as a via point binds")
     postures: int = count(default=8, words="postures that have the goal's pose and are compared")
     kept: int = count(default=3, words="of these that are optimised")
-    rounds: int = count(default=200, least=0, words="of the planner, whose path is the last resort; 0 is none")
+    rounds: int = count(default=20_000, least=0, words="of the planner, whose path is the last resort; 0 is none")
     iterations: int = count(default=60, words="of the solver")
     tolerance: float = number(
         default=1e-4, least=0.0, words="share of the cost by which a step of the solver must promise to lower it"

@@ -1,0 +1,243 @@
+"""RRT-Connect in one kernel: two trees, an edge a turn, its sixteen samples in the lanes of a team.
+
+From its node nearest to a sample of the space one tree grows towards it, as far as the way is free; then the other grows,
+edge after edge, towards what is new, until it arrives there or hits [Kuffner and LaValle 2000]. A turn is one edge, and a call
+so many turns, after which the search goes on where it was: what it finds does not depend on how many a call takes.
+
+Samples are those of a Kronecker sequence in integers, so that they are the same on every machine; its generalised golden ratio
+spreads them over any number of joints [Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"].
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxik.collision.clearances import collides_unless
+from jaxik.kinematics.robot import Robot
+from jaxik.planning.collision_checker import CollisionChecker, together
+from jaxik.spmd import TEAM, team
+from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.host import host_kernels
+from jaxik.spmd.trace import TEAM_SIZE
+
+BLOCKS = 256  # of nodes that a tree has room for, as many a block as a team has lanes
+ROOM = BLOCKS * TEAM_SIZE
+SPARSE = 0.9  # of a step, from which on a node is not as good as another
+UNLIKE = 10  # times as many nodes as the other tree has, at which the smaller one, in the narrower place, grows alone
+SAMPLING, JOINING, ON = 0, 1, 2  # what the next turn does: a tree grows to a sample, the other to what is new, and on to it
+
+
+class Search(NamedTuple):
+    """Two trees, the first from the start, the second from the goals, and what the next turn is about.
+
+    nodes (2, n, blocks, 16), parent (2, room): the number of each node's parent, -1 of a root; count (2,): how many there are.
+    tree: which one grows to samples now; target (n,): what the other one grows to, the node `newest` of the first; base: the
+    node from which it grows on. turn, drawn: the edges and samples so far. joined: whether the trees have met, `newest` of the
+    one and `base` of the other being the same place.
+    """
+
+    nodes: Any
+    parent: Any
+    count: Any
+    tree: Any
+    phase: Any
+    target: Any
+    newest: Any
+    base: Any
+    turn: Any
+    drawn: Any
+    joined: Any
+
+
+class Trees:
+    """A search from one of the starts (s, n) to one of the goals (g, n), with samples between `lower` and `upper` (n,); which
+    they are is drawn from `rng`."""
+
+    def __init__(
+        self,
+        space: CollisionChecker,
+        starts: np.ndarray,
+        goals: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        rng: np.random.Generator,
+    ):
+        n = starts.shape[1]
+        nodes, parent = np.empty((1, 2, n, BLOCKS, TEAM_SIZE), np.float32), np.empty((1, 2, ROOM), np.int32)
+        for tree, roots in enumerate((starts, goals)):
+            nodes.reshape(2, n, ROOM)[tree, :, : len(roots)] = roots.T
+            parent[0, tree, : len(roots)] = -1
+        none, count = np.zeros(1, np.int32), np.array([[len(starts), len(goals)]], np.int32)
+        self.search = Search(nodes, parent, count, none, none, np.zeros((1, n), np.float32), none, none, none, none, none > 0)
+        self.space, self.offset = space, rng.integers(0, 2**32, (1, n), dtype=np.uint32)
+        self.range = lower.astype(np.float32)[None], upper.astype(np.float32)[None]
+
+    @property
+    def joined(self) -> bool:
+        """Whether the trees have met."""
+        return bool(self.search.joined[0])
+
+    @property
+    def count(self) -> np.ndarray:
+        """The number of nodes of each (2,)."""
+        return self.search.count[0]
+
+    @property
+    def full(self) -> bool:
+        return bool(self.count.max() >= ROOM)
+
+    def grow(self, turns: int, step: float, cushion: float) -> int:
+        """Searches on for so many turns, or fewer if the trees meet or have no room left, with a sample every `step` [m] that
+        keeps a `cushion` [m] beyond the margin. Returns how many."""
+        space, before = self.space, int(self.search.turn[0])
+        single = lambda x: np.array([x], np.float32)
+        rows = *self.search, self.offset, *self.range, single(step), single(space.margin + cushion)
+        fixed = np.int32(turns), np.asarray(space.weights, np.float32), space.obstacles, space.carried
+        self.search = Search(*in_blocks(searched(space.robot), *rows, size=1, fixed=fixed, double=False))
+        taken = int(self.search.turn[0]) - before
+        space.checked += TEAM_SIZE * taken
+        return taken
+
+    def way(self) -> np.ndarray:
+        """The waypoints (k, n) from a start to a goal, where the trees have met."""
+        found = Search(*(x[0] for x in self.search))
+        grown, nodes = int(found.tree), found.nodes.reshape(2, -1, ROOM)
+        ways: list[list[np.ndarray]] = [[], []]
+        for tree, node in ((grown, int(found.newest)), (1 - grown, int(found.base))):
+            while node >= 0:
+                ways[tree].append(nodes[tree, :, node])
+                node = int(found.parent[tree, node])
+        return np.array(ways[0][::-1] + ways[1][1:], float)  # both end where they have met
+
+
+class Reach(NamedTuple):
+    """Where samples are drawn, least and greatest (n,), how far apart those of an edge are [m], and by how much they keep away
+    from what is around [m]."""
+
+    lower: Any
+    upper: Any
+    step: Any
+    margin: Any
+
+
+@host_kernels(len(Search._fields) + 1 + len(Reach._fields))
+def searched(robot: Robot, *args: Any) -> Search:
+    """The search after so many turns more, or fewer where the trees meet or one has no room left.
+
+    Takes the fields of a `Search`, the `offset` (n,) at which its samples begin, as whole numbers of 32 bits, and its `Reach`;
+    then, what all searches share, the number of turns, the joints' weights (n,) by which lengths are measured, the obstacles,
+    and what is carried."""
+    count = len(Search._fields)
+
+    def lane(*args: Any) -> Search:
+        search, offset, (*reach, turns, weights, obstacles, carried) = Search(*args[:count]), args[count], args[count + 1 :]
+        return _searched(together(robot, carried), search, offset, Reach(*reach), turns, weights, obstacles)
+
+    return team(lane)(*args)
+
+
+def _searched(robot: Robot, search: Search, offset: Any, reach: Any, turns: Any, weights: Any, obstacles: Any) -> Search:
+    me, end = lax.axis_index(TEAM), search.turn + turns
+
+    def goes_on(s: Search) -> Any:
+        return (s.turn < end) & ~s.joined & (jnp.max(s.count) < ROOM)
+
+    def turn(s: Search) -> Search:
+        sampling = s.phase == SAMPLING
+        own = jnp.where(sampling, s.tree, 1 - s.tree)
+        target = jnp.where(sampling, _sample(s, own, offset, reach), s.target)
+        base = lax.cond(s.phase == ON, lambda: s.base, lambda: _nearest(s.nodes, own, s.count[own], target, weights))
+        first = _node(s.nodes, own, base)
+        far, most = _length(target - first, weights), TEAM_SIZE * reach.step
+        arrives = far <= most
+        last = jnp.where(arrives, target, first + most / far * (target - first))
+        samples = jnp.maximum(jnp.ceil(jnp.minimum(far, most) / reach.step), 1.0)
+        q = first + jnp.minimum((me + 1) / samples, 1.0) * (last - first)
+        first_hit = lambda hit: lax.pmin(jnp.where(hit, me, TEAM_SIZE), TEAM)
+        hit = first_hit(collides_unless(robot, obstacles, q, reach.margin, lambda hit: me >= first_hit(hit)))
+        free = hit >= samples
+        new = jnp.where(free, last, first + hit / samples * (last - first))
+        beside = lambda: _length(_node(s.nodes, own, _nearest(s.nodes, own, s.count[own], new, weights)) - new, weights)
+        grows, number = (hit > 0) & (~sampling | (beside() > SPARSE * reach.step)), s.count[own]
+        s = lax.cond(grows, lambda s: _grown(s, own, new, base), lambda s: s, s)
+        joined = ~sampling & free & arrives
+        phase = jnp.where(sampling & grows, JOINING, jnp.where(~sampling & free & ~arrives, ON, SAMPLING))
+        alone = (s.drawn % 4 != 0) & (jnp.min(s.count) * UNLIKE < jnp.max(s.count))
+        turns_to = jnp.where(alone, (s.count[1] < s.count[0]).astype(jnp.int32), 1 - s.tree)
+        return s._replace(
+            tree=jnp.where(joined | (phase != SAMPLING), s.tree, turns_to),
+            phase=phase,
+            target=jnp.where(sampling, new, s.target),
+            newest=jnp.where(sampling, number, s.newest),
+            base=number,
+            turn=s.turn + 1,
+            drawn=s.drawn + sampling,
+            joined=joined,
+        )
+
+    return lax.while_loop(goes_on, turn, search)
+
+
+def _sample(s: Search, tree: Any, offset: Any, reach: Reach) -> Any:
+    """The next sample (n,) for a tree: by turns a point of the space, and one that lies about a node, drawn too, as the former
+    lie about the middle. The first spread a tree; the second let it out of a narrow place, where all that is far away has the
+    same few nodes nearest to it, and these are walled in."""
+    number = s.drawn.astype(jnp.uint32)
+    share = (offset + number * _golden(len(offset)) >> 8).astype(reach.lower.dtype) * 2.0**-24
+    node = (_mixed(number + offset[0]) % s.count[tree].astype(jnp.uint32)).astype(jnp.int32)
+    point = reach.lower + share * (reach.upper - reach.lower)
+    moved = point + _node(s.nodes, tree, node) - 0.5 * (reach.lower + reach.upper)
+    return jnp.where(number % 2 == 0, point, jnp.clip(moved, reach.lower, reach.upper))
+
+
+def _mixed(x: Any) -> Any:
+    """A hash of 32 bits [Wellons 2018, "Prospecting for hash functions"]."""
+    x = (x ^ (x >> 16)) * np.uint32(0x7FEB352D)
+    x = (x ^ (x >> 15)) * np.uint32(0x846CA68B)
+    return x ^ (x >> 16)
+
+
+def _golden(n: int) -> np.ndarray:
+    """The inverse powers of the root of `x^(n+1) = x + 1`, as shares of 2^32 (n,)."""
+    root = 2.0
+    for _ in range(64):
+        root = (1.0 + root) ** (1.0 / (n + 1))
+    return (root ** -np.arange(1.0, n + 1) * 2.0**32).astype(np.uint32)
+
+
+def _nearest(nodes: Any, tree: Any, count: Any, x: Any, weights: Any) -> Any:
+    """The number of the node of a tree that is nearest to x (n,); the first of those that are as near."""
+    me = lax.axis_index(TEAM)
+
+    def look(state: Any) -> Any:
+        block, least, at = state
+        apart, number = (nodes[tree, :, block, me] - x) * weights, block * TEAM_SIZE + me
+        square = jnp.where(number < count, jnp.sum(apart * apart), jnp.inf)
+        nearer = square < least
+        return block + 1, jnp.where(nearer, square, least), jnp.where(nearer, number, at)
+
+    begin = jnp.int32(0), jnp.asarray(jnp.inf, x.dtype), jnp.int32(0)
+    _, least, at = lax.while_loop(lambda state: state[0] * TEAM_SIZE < count, look, begin)
+    return lax.pmin(jnp.where(least == lax.pmin(least, TEAM), at, ROOM), TEAM)
+
+
+def _node(nodes: Any, tree: Any, number: Any) -> Any:
+    return nodes[tree, :, number // TEAM_SIZE, number % TEAM_SIZE]
+
+
+def _grown(s: Search, tree: Any, new: Any, parent: Any) -> Search:
+    """A node more in a tree."""
+    number = s.count[tree]
+    return s._replace(
+        nodes=s.nodes.at[tree, :, number // TEAM_SIZE, number % TEAM_SIZE].set(new),
+        parent=s.parent.at[tree, number].set(parent),
+        count=s.count.at[tree].add(1),
+    )
+
+
+def _length(moved: Any, weights: Any) -> Any:
+    return jnp.sqrt(jnp.sum((moved * weights) ** 2))
