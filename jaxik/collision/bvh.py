@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,14 +33,24 @@ FAN = 4  # leaves a branch, at least
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
 
 
+class Bodies(NamedTuple):
+    """Solids of triangles, numbered from 1 on in their triangles' `solid`, object by object: how far each of them is out along
+    -x, -y, -z, x, y, z [m], and which branches, from `first` to `last`, not counted, hold its triangles. Those of branch b are
+    `starts[b]` to `starts[b + 1]`, not counted, where a branch is an object; else all come before `starts[1]`."""
+
+    extents: Any
+    first: Any
+    last: Any
+    starts: Any
+
+
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Obstacles:
     """Obstacles of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`,
     not counted, and is one of the `count` that are there if b is less; `ignored[b]` are the `bits` of links that it does not
-    count for, of a robot that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is. Where there may be solids
-    of triangles, `bodies[b]` is how far those of branch b are out along -x, -y, -z, x, y, z, and how far their inside is from
-    their triangles at most, half the least extent [m]."""
+    count for, of a robot that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is. `bodies`: None where there
+    are no solids of triangles."""
 
     kind: str = static()
     rows: dict[str, Any]
@@ -51,7 +61,7 @@ class Obstacles:
     ignored: Any
     count: Any
     unsound: Any
-    bodies: Any
+    bodies: Bodies | None
     ignores: tuple[tuple[int, str], ...] = static()
 
 
@@ -150,28 +160,39 @@ def _obstacles(
     placed = lambda x: x if np.ndim(x) == 0 else with_zeros(x[order], room * size, xp)
     kept = {name: placed(x) for name, x in rows.items()}
     spheres, branches = (Balls(*map(filled, each)) for each in (balls, _joined(balls, first, last, xp)))
-    bodies = _bodies(rows, owner, there, known, xp) if kind == "triangles" else None
-    bodies = None if bodies is None else filled(bodies[order][_runs(first, last)].max(axis=1))
+    bodies = None
+    if kind == "triangles":
+        branch = np.repeat(np.arange(len(first)), last - first)
+        kept["solid"], bodies = _bodies(kept, owner[order], branch, by_object)
     first, last, ignores = map(numbered, (first, last, ignores))
     unsound = xp.asarray(sum(xp.sum(x) * 0.0 for x in rows.values()))
     return Obstacles(kind, kept, spheres, branches, first, last, ignores, np.int32(len(group)), unsound, bodies, ignored)
 
 
-def _bodies(rows: dict[str, Any], owner: np.ndarray, there: np.ndarray, known: bool, xp: Any) -> Any:
-    """The `bodies` of `Obstacles` (k, 7), a row a triangle, the same for all of an object's; -FAR where it is no solid's, None
-    where none is known to be."""
-    solid, corners = rows["solid"] > 0.0, xp.stack([rows[name] for name in "abc"], axis=1)  # (k, 3, 3)
-
-    def body(counts: Any) -> Any:
-        low, high = (xp.max(xp.where(counts[:, None, None], s * corners, -FAR), axis=(0, 1)) for s in (-1.0, 1.0))
-        return xp.concatenate([low, high, xp.min(low + high)[None] / 2.0]) + SLACK
-
-    if not known:
-        return xp.where(solid[:, None], body(solid & (xp.abs(corners).max(axis=(1, 2)) < FAR / 2.0)), -FAR)
-    found, objects = np.full((len(owner), 7), -FAR), np.unique(owner[there][solid[there]])
-    for one in objects:
-        found[solid & (owner == one)] = body(solid & (owner == one))
-    return found if len(objects) else None
+def _bodies(rows: dict[str, Any], owner: np.ndarray, branch: np.ndarray, by_object: bool) -> tuple[Any, Bodies | None]:
+    """The number of each triangle's solid, 0 for none, and these solids, if there may be any; `owner` and `branch` (k,) of the
+    first k triangles, after which comes room."""
+    known, room = is_known(rows), len(rows["solid"])
+    rows = {name: x[: len(owner)] for name, x in (rows if known else lax.stop_gradient(rows)).items()}
+    if known and not rows["solid"].any():
+        return np.zeros(room), None
+    xp = np if known else jnp
+    order, owners = xp.lexsort((rows["solid"], owner)), np.sort(owner)
+    solid = rows["solid"][order]
+    new = (solid > 0.0) & ((xp.diff(solid, prepend=0.0) != 0.0) | (np.diff(owners, prepend=-2) != 0))
+    count = xp.cumsum(new)
+    number = xp.where(solid > 0.0, count, 0)[xp.argsort(order)]
+    corners = xp.stack([rows[name] for name in "abc"])
+    each = xp.concatenate([(-corners).max(axis=0), corners.max(axis=0), xp.stack([-branch, branch], axis=1)], axis=1)
+    most = xp.full((room + 1, 8), -FAR)
+    if known:
+        np.maximum.at(most, number, each)
+    else:
+        most = most.at[number].max(each)
+    begins = np.searchsorted(owners if by_object else 0 * owners, np.arange(room + 1))
+    starts = 1 + xp.concatenate([np.zeros(1, int), count])[begins]
+    first, last, starts = (x.astype(np.int32) for x in (-most[:, 6], most[:, 7] + 1.0, starts))
+    return with_zeros(number.astype(solid.dtype), room, xp), Bodies(most[:, :6] + SLACK, first, last, starts)
 
 
 def _in_leaves(groups: list[np.ndarray], size: int, center: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
