@@ -34,13 +34,13 @@ LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many lea
 
 
 class Bodies(NamedTuple):
-    """Solids of triangles, numbered from 1 on in their triangles' `solid`, object by object: how far each of them is out along
-    -x, -y, -z, x, y, z [m], and which branches, from `first` to `last`, not counted, hold its triangles. Those of branch b are
-    `starts[b]` to `starts[b + 1]`, not counted, where a branch is an object; else all come before `starts[1]`."""
+    """Solids of triangles, numbered from 1 on: how far each is out along -x, -y, -z, x, y, z [m]; the first and the last, not
+    counted, of the `branches` that it is in, and of the `leaves` that are its own. Those of branch b are `starts[b]` to
+    `starts[b + 1]`, not counted, where a branch is an object; else all come before `starts[1]`."""
 
     extents: Any
-    first: Any
-    last: Any
+    branches: Any
+    leaves: Any
     starts: Any
 
 
@@ -146,6 +146,9 @@ def _obstacles(
     keys = np.arange(len(masks) - 1) if by_object else np.unique(key)
     groups = [there[key == each] for each in keys] if len(keys) != 1 or by_object else [there]
     order, ends = _in_leaves(groups, size, center if known else None)
+    if kind == "triangles":  # each a leaf
+        by_body, owner = _by_body(rows["solid"][order], owner[order], np.repeat(np.arange(len(groups)), np.diff(ends)))
+        order = xp.asarray(order)[by_body]
     leaves = int(ends[-1])
     fan = leaves + 1 if by_object else max(FAN, round(leaves**0.5))  # leaves a branch, at most
     begins = [np.arange(a, max(b, a + by_object), fan) for a, b in itertools.pairwise(ends)]
@@ -153,46 +156,54 @@ def _obstacles(
     group = np.repeat(np.arange(len(groups)), [len(b) for b in begins])
     last = np.minimum(first + fan, ends[group + 1])
     ignores = (masks[:-1] if by_object else keys)[group].astype(np.int32)
-    room = max(leaves, len(first), -(-len(owner) // size))  # with what is taken away: one kernel serves before and after
+    room = max(leaves, len(first), -(-len(radius) // size))  # with what is taken away: one kernel serves before and after
     room = next((n for n in LEAVES if n >= room), room) if known else room
     balls = around(center[order].reshape(-1, size, 3), radius[order].reshape(-1, size), xp)
     filled, numbered = lambda x: with_zeros(x, room, xp), lambda x: with_zeros(x.astype(np.int32), room, np)
-    placed = lambda x: x if np.ndim(x) == 0 else with_zeros(x[order], room * size, xp)
+    placed = lambda x: x if np.ndim(x) == 0 else with_zeros(xp.asarray(x)[order], room * size, xp)
     kept = {name: placed(x) for name, x in rows.items()}
     spheres, branches = (Balls(*map(filled, each)) for each in (balls, _joined(balls, first, last, xp)))
-    bodies = None
-    if kind == "triangles":
-        branch = np.repeat(np.arange(len(first)), last - first)
-        kept["solid"], bodies = _bodies(kept, owner[order], branch, by_object)
+    branch = np.repeat(np.arange(len(first)), last - first)
+    bodies = _bodies(kept, owner, branch, by_object) if kind == "triangles" else None
     first, last, ignores = map(numbered, (first, last, ignores))
     unsound = xp.asarray(sum(xp.sum(x) * 0.0 for x in rows.values()))
     return Obstacles(kind, kept, spheres, branches, first, last, ignores, np.int32(len(group)), unsound, bodies, ignored)
 
 
-def _bodies(rows: dict[str, Any], owner: np.ndarray, branch: np.ndarray, by_object: bool) -> tuple[Any, Bodies | None]:
-    """The number of each triangle's solid, 0 for none, and these solids, if there may be any; `owner` and `branch` (k,) of the
-    first k triangles, after which comes room."""
-    known, room = is_known(rows), len(rows["solid"])
-    rows = {name: x[: len(owner)] for name, x in (rows if known else lax.stop_gradient(rows)).items()}
-    if known and not rows["solid"].any():
-        return np.zeros(room), None
+def _by_body(solid: Any, owner: np.ndarray, group: np.ndarray) -> tuple[Any, np.ndarray]:
+    """An order of triangles (k,) in groups, in which each solid's are side by side, else as they were where that is known; and
+    the owners in it."""
+    if not is_known(solid):
+        return jnp.lexsort((solid, owner, group)), owner[np.lexsort((owner, group))]
+    body = np.where(solid > 0.0, (owner + 1) * (solid.max(initial=0.0) + 1.0) + solid, 0.0)
+    _, first, which = np.unique(body, return_index=True, return_inverse=True)
+    order = np.lexsort((first[which], group))
+    return order, owner[order]
+
+
+def _bodies(rows: dict[str, Any], owner: np.ndarray, branch: np.ndarray, by_object: bool) -> Bodies | None:
+    """The solids of triangles that stand side by side, if there may be any; `owner` and `branch` (k,) of the first k triangles,
+    after which comes room."""
+    (count,), known, room = owner.shape, is_known(rows), len(rows["solid"])
+    rows = {name: x[:count] for name, x in (rows if known else lax.stop_gradient(rows)).items()}
+    solid = rows["solid"]
+    if known and not solid.any():
+        return None
     xp = np if known else jnp
-    order, owners = xp.lexsort((rows["solid"], owner)), np.sort(owner)
-    solid = rows["solid"][order]
-    new = (solid > 0.0) & ((xp.diff(solid, prepend=0.0) != 0.0) | (np.diff(owners, prepend=-2) != 0))
-    count = xp.cumsum(new)
-    number = xp.where(solid > 0.0, count, 0)[xp.argsort(order)]
-    corners = xp.stack([rows[name] for name in "abc"])
-    each = xp.concatenate([(-corners).max(axis=0), corners.max(axis=0), xp.stack([-branch, branch], axis=1)], axis=1)
-    most = xp.full((room + 1, 8), -FAR)
+    new = (solid > 0.0) & ((xp.diff(solid, prepend=0.0) != 0.0) | (np.diff(owner, prepend=-2) != 0))
+    so_far = xp.cumsum(new)
+    number, corners = xp.where(solid > 0.0, so_far, 0), xp.stack([rows[name] for name in "abc"])
+    leaf = np.arange(count)
+    spans = np.stack([-branch, -leaf, branch + 1, leaf + 1], axis=1)
+    each = xp.concatenate([(-corners).max(axis=0), corners.max(axis=0), spans], axis=1)
+    most = xp.full((room + 1, 10), -FAR)
     if known:
         np.maximum.at(most, number, each)
     else:
         most = most.at[number].max(each)
-    begins = np.searchsorted(owners if by_object else 0 * owners, np.arange(room + 1))
-    starts = 1 + xp.concatenate([np.zeros(1, int), count])[begins]
-    first, last, starts = (x.astype(np.int32) for x in (-most[:, 6], most[:, 7] + 1.0, starts))
-    return with_zeros(number.astype(solid.dtype), room, xp), Bodies(most[:, :6] + SLACK, first, last, starts)
+    begins = np.searchsorted(branch if by_object else 0 * branch, np.arange(room + 1))
+    starts, ends = 1 + xp.concatenate([np.zeros(1, int), so_far])[begins], xp.abs(most[:, 6:]).astype(np.int32)
+    return Bodies(most[:, :6] + SLACK, ends[:, ::2], ends[:, 1::2], starts.astype(np.int32))
 
 
 def _in_leaves(groups: list[np.ndarray], size: int, center: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

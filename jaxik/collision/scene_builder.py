@@ -42,8 +42,8 @@ class SceneBuilder:
         pair of a (4, 4) frame and three edges, or a triple of a frame, radius and length.
 
         `triangles` (k, 3, 3) are surfaces (`files.load_mesh`), and so are `polygons`, planar, by their corners (c, 3). Those
-        that close around a body are a solid: what is wholly inside collides, unless `solid` is false, as of a room. Where solids
-        overlap, of one object or of several, it is as deep as in the deepest of them, each for itself."""
+        that close around a body are a solid: what is wholly inside collides, unless `solid` is false, as of a room. Where
+        solids overlap, of one object or of several, it is as deep as in the deepest of them, each for itself."""
         who = f"object '{shown(name)}': "
         check_flag(f"object '{shown(name)}'", removable=removable, solid=solid)
         rows = _each(who, obstacles)

@@ -30,7 +30,7 @@ def deepest(space: Any, p: Any, k: int, first: Any, last: Any, ball: Any, found:
 
 
 class Solid:
-    """A part p of the robot in a solid: those triangles of kind k that have its `number`.
+    """A part p of the robot in a solid, the one of kind k that has a `number`.
 
     A skeleton that crosses no triangle is wholly inside or wholly outside, and so are its points: those that the solid's
     surface winds around are as deep as its nearest triangle is far, whatever else is there. What is out of its extents is
@@ -38,11 +38,11 @@ class Solid:
     """
 
     def __init__(self, space: Any, p: Any, k: int, number: Any):
-        self.space, self.p, self.k, self.number = space, p, k, number
+        self.space, self.p, self.k = space, p, k
         self.obstacles, self.others = space.obstacles[k], space.others[space.inner + space.solid.index(k)]
         self.branches, bodies = as_columns(self.obstacles.branches, space.dtype), self.obstacles.bodies
         self.extents = traced(entry(jnp.asarray(bodies.extents, space.dtype), number))
-        self.first, self.last = entry(bodies.first, number), entry(bodies.last, number)
+        (self.first, self.last), self.leaves = (traced(entry(x, number)) for x in (bodies.branches, bodies.leaves))
 
     def deepest(self, ball: Any, found: Found) -> Found:
         """Returns what was found, or the deepest of all points inside, if it is deeper and what was found is not enough."""
@@ -127,11 +127,13 @@ class Solid:
         within = lambda other, state: meets((point, radius(state)), other)
 
         def leaf(j: Any, state: Any) -> Any:
-            here = within(row_at(self.others.leaves, j), state) & (self._row(j)[1] == self.number)
+            here = within(row_at(self.others.leaves, j), state)
             return lax.cond(here, functools.partial(step, j), lambda state: state, state)
 
         def branch(b: Any, state: Any) -> Any:
-            leaves = lambda state: lax.fori_loop(entry(self.obstacles.first, b), entry(self.obstacles.last, b), leaf, state)
+            first = jnp.maximum(entry(self.obstacles.first, b), self.leaves[0])
+            last = jnp.minimum(entry(self.obstacles.last, b), self.leaves[1])
+            leaves = lambda state: lax.fori_loop(first, last, leaf, state)
             return lax.cond(within(row_at(self.branches, b), state), leaves, lambda state: state, state)
 
         return lax.fori_loop(self.first, self.last, branch, state)

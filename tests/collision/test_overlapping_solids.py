@@ -142,14 +142,14 @@ def test_a_small_solid_in_a_large_one_hides_no_depth(slides):
         assert np.isclose(value, -0.54) and np.allclose(slope, [0.0, 0.0, -1.0])
         for told in (jaxik.explain(slides, scene, q).contacts, object_clearances(slides, scene, q)):
             assert np.isclose(min(getattr(each, "distance", each) for each in told), -0.54)
-    each = np.asarray(object_clearances(slides, scene_of(bodies), q))
-    np.testing.assert_allclose(each, [-0.54, -0.24])
+    for told in (object_clearances, jax.jit(object_clearances, static_argnums=0)):
+        np.testing.assert_allclose(told(slides, scene_of(bodies), q), [-0.54, -0.24])
     assert np.isclose(jaxik.clearance(slides, scene_of(bodies).without("body0"), q), -0.24)
     assert np.isclose(jaxik.clearance(slides, scene_of(bodies).without("body1"), q), -0.54)
 
 
 def test_the_least_of_all_objects_is_the_clearance(many):
-    """Of lines and triangles, too; `explain` says the same of each."""
+    """Lines and triangles are measured, too; `explain` says the same of each object."""
     for seed in SEEDS:
         scene, q = scene_of(list(drawn(seed))), np.random.default_rng(seed).uniform(-0.5, 0.5, (100, 3))
         around = grouped(scene, many)
@@ -172,3 +172,5 @@ def test_what_a_link_ignores_hides_nothing(slides):
         robot = dataclasses.replace(slides, ignored=((link, name),))
         found = batch(lambda around, q, robot=robot: jaxik.clearance(robot, around, q))(grouped(scene, robot), q)
         np.testing.assert_allclose(found, true[:, other], atol=1e-9)
+        traced = batch(lambda scene, q, robot=robot: jaxik.clearance(robot, scene, q))(scene, q[:20])
+        np.testing.assert_allclose(traced, true[:20, other], atol=1e-9)
