@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,14 +33,24 @@ FAN = 4  # leaves a branch, at least
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
 
 
+class Bodies(NamedTuple):
+    """Solids of triangles, numbered from 1 on: how far each is out along -x, -y, -z, x, y, z [m]; the first and the last, not
+    counted, of the `branches` that it is in, and of the `leaves` that are its own. Those of branch b are `starts[b]` to
+    `starts[b + 1]`, not counted, where a branch is an object; else all come before `starts[1]`."""
+
+    extents: Any
+    branches: Any
+    leaves: Any
+    starts: Any
+
+
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Obstacles:
     """Obstacles of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`,
     not counted, and is one of the `count` that are there if b is less; `ignored[b]` are the `bits` of links that it does not
-    count for, of a robot that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is. Where there may be solids
-    of triangles, `bodies[b]` is how far those of branch b are out along -x, -y, -z, x, y, z, and how far their inside is from
-    their triangles at most, half the least extent [m]."""
+    count for, of a robot that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is. `bodies`: None where there
+    are no solids of triangles."""
 
     kind: str = static()
     rows: dict[str, Any]
@@ -51,7 +61,7 @@ class Obstacles:
     ignored: Any
     count: Any
     unsound: Any
-    bodies: Any
+    bodies: Bodies | None
     ignores: tuple[tuple[int, str], ...] = static()
 
 
@@ -136,6 +146,9 @@ def _obstacles(
     keys = np.arange(len(masks) - 1) if by_object else np.unique(key)
     groups = [there[key == each] for each in keys] if len(keys) != 1 or by_object else [there]
     order, ends = _in_leaves(groups, size, center if known else None)
+    if kind == "triangles":  # each a leaf
+        by_body, owner = _by_body(rows["solid"][order], owner[order], np.repeat(np.arange(len(groups)), np.diff(ends)))
+        order = xp.asarray(order)[by_body]
     leaves = int(ends[-1])
     fan = leaves + 1 if by_object else max(FAN, round(leaves**0.5))  # leaves a branch, at most
     begins = [np.arange(a, max(b, a + by_object), fan) for a, b in itertools.pairwise(ends)]
@@ -143,35 +156,54 @@ def _obstacles(
     group = np.repeat(np.arange(len(groups)), [len(b) for b in begins])
     last = np.minimum(first + fan, ends[group + 1])
     ignores = (masks[:-1] if by_object else keys)[group].astype(np.int32)
-    room = max(leaves, len(first), -(-len(owner) // size))  # with what is taken away: one kernel serves before and after
+    room = max(leaves, len(first), -(-len(radius) // size))  # with what is taken away: one kernel serves before and after
     room = next((n for n in LEAVES if n >= room), room) if known else room
     balls = around(center[order].reshape(-1, size, 3), radius[order].reshape(-1, size), xp)
     filled, numbered = lambda x: with_zeros(x, room, xp), lambda x: with_zeros(x.astype(np.int32), room, np)
-    placed = lambda x: x if np.ndim(x) == 0 else with_zeros(x[order], room * size, xp)
+    placed = lambda x: x if np.ndim(x) == 0 else with_zeros(xp.asarray(x)[order], room * size, xp)
     kept = {name: placed(x) for name, x in rows.items()}
     spheres, branches = (Balls(*map(filled, each)) for each in (balls, _joined(balls, first, last, xp)))
-    bodies = _bodies(rows, owner, there, known, xp) if kind == "triangles" else None
-    bodies = None if bodies is None else filled(bodies[order][_runs(first, last)].max(axis=1))
+    branch = np.repeat(np.arange(len(first)), last - first)
+    bodies = _bodies(kept, owner, branch, by_object) if kind == "triangles" else None
     first, last, ignores = map(numbered, (first, last, ignores))
     unsound = xp.asarray(sum(xp.sum(x) * 0.0 for x in rows.values()))
     return Obstacles(kind, kept, spheres, branches, first, last, ignores, np.int32(len(group)), unsound, bodies, ignored)
 
 
-def _bodies(rows: dict[str, Any], owner: np.ndarray, there: np.ndarray, known: bool, xp: Any) -> Any:
-    """The `bodies` of `Obstacles` (k, 7), a row a triangle, the same for all of an object's; -FAR where it is no solid's, None
-    where none is known to be."""
-    solid, corners = rows["solid"] > 0.0, xp.stack([rows[name] for name in "abc"], axis=1)  # (k, 3, 3)
+def _by_body(solid: Any, owner: np.ndarray, group: np.ndarray) -> tuple[Any, np.ndarray]:
+    """An order of triangles (k,) in groups, in which each solid's are side by side, else as they were where that is known; and
+    the owners in it."""
+    if not is_known(solid):
+        return jnp.lexsort((solid, owner, group)), owner[np.lexsort((owner, group))]
+    body = np.where(solid > 0.0, (owner + 1) * (solid.max(initial=0.0) + 1.0) + solid, 0.0)
+    _, first, which = np.unique(body, return_index=True, return_inverse=True)
+    order = np.lexsort((first[which], group))
+    return order, owner[order]
 
-    def body(counts: Any) -> Any:
-        low, high = (xp.max(xp.where(counts[:, None, None], s * corners, -FAR), axis=(0, 1)) for s in (-1.0, 1.0))
-        return xp.concatenate([low, high, xp.min(low + high)[None] / 2.0]) + SLACK
 
-    if not known:
-        return xp.where(solid[:, None], body(solid & (xp.abs(corners).max(axis=(1, 2)) < FAR / 2.0)), -FAR)
-    found, objects = np.full((len(owner), 7), -FAR), np.unique(owner[there][solid[there]])
-    for one in objects:
-        found[solid & (owner == one)] = body(solid & (owner == one))
-    return found if len(objects) else None
+def _bodies(rows: dict[str, Any], owner: np.ndarray, branch: np.ndarray, by_object: bool) -> Bodies | None:
+    """The solids of triangles that stand side by side, if there may be any; `owner` and `branch` (k,) of the first k triangles,
+    after which comes room."""
+    (count,), known, room = owner.shape, is_known(rows), len(rows["solid"])
+    rows = {name: x[:count] for name, x in (rows if known else lax.stop_gradient(rows)).items()}
+    solid = rows["solid"]
+    if known and not solid.any():
+        return None
+    xp = np if known else jnp
+    new = (solid > 0.0) & ((xp.diff(solid, prepend=0.0) != 0.0) | (np.diff(owner, prepend=-2) != 0))
+    so_far = xp.cumsum(new)
+    number, corners = xp.where(solid > 0.0, so_far, 0), xp.stack([rows[name] for name in "abc"])
+    leaf = np.arange(count)
+    spans = np.stack([-branch, -leaf, branch + 1, leaf + 1], axis=1)
+    each = xp.concatenate([(-corners).max(axis=0), corners.max(axis=0), spans], axis=1)
+    most = xp.full((room + 1, 10), -FAR)
+    if known:
+        np.maximum.at(most, number, each)
+    else:
+        most = most.at[number].max(each)
+    begins = np.searchsorted(branch if by_object else 0 * branch, np.arange(room + 1))
+    starts, ends = 1 + xp.concatenate([np.zeros(1, int), so_far])[begins], xp.abs(most[:, 6:]).astype(np.int32)
+    return Bodies(most[:, :6] + SLACK, ends[:, ::2], ends[:, 1::2], starts.astype(np.int32))
 
 
 def _in_leaves(groups: list[np.ndarray], size: int, center: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

@@ -202,10 +202,10 @@ class _Depths(_Pairs):
     def _rows(self) -> Iterator[np.ndarray]:
         ((centers,), _), (corners, solid) = self.volumes, self.others
         points, triangles = np.stack(centers, axis=-1), np.stack([np.stack(c, axis=-1) for c in corners], axis=1)
-        for owner in np.unique(self.owners[solid > 0.0]):
-            rows = np.flatnonzero((self.owners == owner) & (solid > 0.0))
+        for owner, number in np.unique(np.stack([self.owners, solid])[:, solid > 0.0], axis=1).T:
+            rows = np.flatnonzero((self.owners == owner) & (solid == number))
             low, high = triangles[rows].min(axis=(0, 1)), triangles[rows].max(axis=(0, 1))
-            near = np.all((points >= low) & (points <= high), axis=1) & self.meet[owner, self.links]
+            near = np.all((points >= low) & (points <= high), axis=1) & self.meet[int(owner), self.links]
             for volume in np.flatnonzero(near):
                 if abs(np.sum(_CROSSING(triangles[rows], points[volume])[0])) > 0.5:
                     apart = self.told(_apart, rows, np.full(len(rows), volume))[0]

@@ -33,7 +33,7 @@ from jaxik.collision.shape_distances import (
     square_gap,
     triangle_gap,
 )
-from jaxik.collision.solids import Solids
+from jaxik.collision.solids import deepest
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.link_distance_table import interpolated
 from jaxik.kinematics.robot import Robot
@@ -170,7 +170,7 @@ class Space:
     def _to_branches(self, p: Any, ball: Any, k: int, first: Any, last: Any, found: Found) -> Found:
         """Part p against the obstacles of kind k in branches from `first` to `last`, not counted."""
         found = lax.fori_loop(first, last, lambda b, found: self._to_branch(p, ball, k, b, found), found)
-        return Solids(self, p, k, first, last).deepest(ball, found) if k in self.solid else found
+        return deepest(self, p, k, first, last, ball, found) if k in self.solid else found
 
     def _to_branch(self, p: Any, ball: Any, k: int, b: Any, found: Found) -> Found:
         """Part p against branch b of the obstacles of kind k."""

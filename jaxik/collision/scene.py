@@ -100,8 +100,9 @@ class Cylinders(Kind):
 
 
 class Triangles(Kind):
-    """Surfaces. `solid` is 1 of triangles that close around a body, counter-clockwise as seen from outside, and 0 of others:
-    what is wholly inside of a body collides with it."""
+    """Surfaces. `solid` is 0, or above 0 of triangles that close around a body, counter-clockwise as seen from outside: what is
+    wholly inside of a body collides with it. Those of an object with the same number are one body: so bodies that overlap have
+    different ones, each for its own depth."""
 
     a: Float[Array, "k 3"]
     b: Float[Array, "k 3"]

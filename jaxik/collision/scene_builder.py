@@ -42,7 +42,8 @@ class SceneBuilder:
         pair of a (4, 4) frame and three edges, or a triple of a frame, radius and length.
 
         `triangles` (k, 3, 3) are surfaces (`files.load_mesh`), and so are `polygons`, planar, by their corners (c, 3). Those
-        that close around a body are a solid: what is wholly inside collides, unless `solid` is false, as of a room."""
+        that close around a body are a solid: what is wholly inside collides, unless `solid` is false, as of a room. Where
+        solids overlap, of one object or of several, it is as deep as in the deepest of them, each for itself."""
         who = f"object '{shown(name)}': "
         check_flag(f"object '{shown(name)}'", removable=removable, solid=solid)
         rows = _each(who, obstacles)
@@ -128,7 +129,7 @@ def hanging(top: Any, up: Any, length: float, radius: float) -> np.ndarray:
 
 
 def _with_bodies(rows: np.ndarray, solid: bool) -> np.ndarray:
-    """Triangles (k, 9) of an object as (k, 10), the last: whether they are a solid's."""
+    """Triangles (k, 9) of an object as (k, 10), the last: the number of their solid, 0 for none."""
     triangles, closed = as_bodies(rows.reshape(-1, 3, 3)) if solid else (rows, np.zeros(len(rows)))
     return np.column_stack([triangles.reshape(-1, 9), closed])
 

@@ -21,34 +21,42 @@ from jaxik.spatial.algebra import Vec3, traced
 SAMPLES = {1: (1, 0.0), 2: (5, 0.25), 3: (6, 0.5)}  # of a skeleton by its corners, inside of solids: how many, how far apart
 
 
-class Solids:
-    """A part of the robot among closed surfaces: the triangles of kind k in branches from `first` to `last`.
+def deepest(space: Any, p: Any, k: int, first: Any, last: Any, ball: Any, found: Found) -> Found:
+    """Returns what was found of part p of the robot, in a ball, or its deepest point in one of the solids of kind k in branches
+    from `first` to `last`, if that is deeper and what was found is not enough."""
+    starts = space.obstacles[k].bodies.starts
+    one = lambda number, found: Solid(space, p, k, number).deepest(ball, found)
+    return lax.fori_loop(entry(starts, first), entry(starts, last), one, found)
 
-    A skeleton that crosses no triangle is wholly inside or wholly outside, and so are its points: those that surfaces wind
-    around are as deep as the nearest triangle is far. What is out of a body's extents, or further from all its triangles than
-    its inside is, is outside.
+
+class Solid:
+    """A part p of the robot in a solid, the one of kind k that has a `number`.
+
+    A skeleton that crosses no triangle is wholly inside or wholly outside, and so are its points: those that the solid's
+    surface winds around are as deep as its nearest triangle is far, whatever else is there. What is out of its extents is
+    outside.
     """
 
-    def __init__(self, space: Any, p: Any, k: int, first: Any, last: Any):
-        self.space, self.p, self.k, self.first, self.last = space, p, k, first, last
+    def __init__(self, space: Any, p: Any, k: int, number: Any):
+        self.space, self.p, self.k = space, p, k
         self.obstacles, self.others = space.obstacles[k], space.others[space.inner + space.solid.index(k)]
-        self.branches = as_columns(self.obstacles.branches, space.dtype)
+        self.branches, bodies = as_columns(self.obstacles.branches, space.dtype), self.obstacles.bodies
+        self.extents = traced(entry(jnp.asarray(bodies.extents, space.dtype), number))
+        (self.first, self.last), self.leaves = (traced(entry(x, number)) for x in (bodies.branches, bodies.leaves))
 
     def deepest(self, ball: Any, found: Found) -> Found:
         """Returns what was found, or the deepest of all points inside, if it is deeper and what was found is not enough."""
-        return self._if_within(ball, self._of_volumes if self.space.own is None else self._of_own_shape, found)
+        points = self._of_volumes if self.space.own is None else self._of_own_shape
+        inside = lambda found: self._if_within(ball, points, found)
+        if self.space.bits is None:
+            return inside(found)
+        return lax.cond(self.space.counts(self.p, self.k, self.first), inside, lambda found: found, found)
 
     def _if_within(self, ball: Any, then: Callable[[Found], Found], found: Found) -> Found:
-        """Returns what `then` finds, if the ball is near enough to a body to have points inside of it."""
+        """Returns what `then` finds, if the ball is near enough to the solid to have points inside of it."""
         center, radius = ball
-
-        def near(b: Any, is_near: Any) -> Any:
-            *extents, reach = traced(entry(jnp.asarray(self.obstacles.bodies, radius.dtype), b))
-            overlaps = [x - radius < most for x, most in zip((*-center, *center), extents, strict=True)]
-            close = _meet((center, radius + reach), row_at(self.branches, b)) & self.space.counts(self.p, self.k, b)
-            return is_near | functools.reduce(operator.and_, overlaps, close)
-
-        within = lax.fori_loop(self.first, self.last, near, jnp.zeros((), bool))
+        overlaps = [x - radius < most for x, most in zip((*-center, *center), self.extents, strict=True)]
+        within = functools.reduce(operator.and_, overlaps)
         if self.space.enough is not None:  # asked again and again: of lanes, one that goes on takes all along
             within &= found.distance >= self.space.enough
         return lax.cond(within, then, lambda found: found, found)
@@ -91,12 +99,11 @@ class Solids:
     def _of_point(self, point: Vec3, radius: Any, found: Found, mark: tuple[Any, Any]) -> Found:
         """A point in the middle of a ball; `mark`: its volume's number, and where `along` the skeleton it is."""
         zero = jnp.zeros_like(radius)
-        turn = lambda j, turns: turns + self._row(j)[1] * distance.upward_crossing(point, *self._row(j)[0])
+        turn = lambda j, turns: turns + distance.upward_crossing(point, *self._row(j)[0])
         inside = jnp.abs(self._over(_above, point, lambda turns: zero, turn, zero)) > 0.5
 
         def nearer(j: Any, nearest: Any) -> Any:
-            corners, solid = self._row(j)
-            apart = jnp.where(solid > 0.0, distance.point_triangle(point, *corners), jnp.inf)
+            apart = distance.point_triangle(point, *self._row(j)[0])
             closer = apart < nearest[0]
             return jnp.where(closer, apart, nearest[0]), jnp.where(closer, j, nearest[1])
 
@@ -116,7 +123,7 @@ class Solids:
         return row_at(self.others.columns, j)
 
     def _over(self, meets: Any, point: Vec3, radius: Callable[..., Any], step: Callable[..., Any], state: Any) -> Any:
-        """`step` of each triangle whose branch and leaf `meets` the ball of a `radius`, by the state, around a point."""
+        """`step` of its triangles whose branch and leaf `meets` the ball of a `radius`, by the state, around a point."""
         within = lambda other, state: meets((point, radius(state)), other)
 
         def leaf(j: Any, state: Any) -> Any:
@@ -124,9 +131,10 @@ class Solids:
             return lax.cond(here, functools.partial(step, j), lambda state: state, state)
 
         def branch(b: Any, state: Any) -> Any:
-            leaves = lambda state: lax.fori_loop(entry(self.obstacles.first, b), entry(self.obstacles.last, b), leaf, state)
-            here = within(row_at(self.branches, b), state) & self.space.counts(self.p, self.k, b)
-            return lax.cond(here, leaves, lambda state: state, state)
+            first = jnp.maximum(entry(self.obstacles.first, b), self.leaves[0])
+            last = jnp.minimum(entry(self.obstacles.last, b), self.leaves[1])
+            leaves = lambda state: lax.fori_loop(first, last, leaf, state)
+            return lax.cond(within(row_at(self.branches, b), state), leaves, lambda state: state, state)
 
         return lax.fori_loop(self.first, self.last, branch, state)
 

@@ -6,6 +6,7 @@ around something, and how often it winds around a point is a whole number: then 
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,8 @@ FLAT = 1e-6  # of its size, that a polygon's corners may be out of its plane
 
 
 def as_bodies(triangles: Float[np.ndarray, "k 3 3"]) -> tuple[Float[np.ndarray, "k 3 3"], Float[np.ndarray, " k"]]:
-    """The triangles, those of closed surfaces turned to be seen counter-clockwise from outside, and which these are: 1, or 0.
+    """The triangles, those of closed surfaces turned to be seen counter-clockwise from outside; and of each the number of the
+    body that it closes around with others, from 1 on, or 0.
 
     A closed surface inside of another is turned so, too: what it hollows out counts as full. Where triangles of an open
     surface, or of one with both its sides, stand more than once, the first of them may close it.
@@ -28,10 +30,11 @@ def as_bodies(triangles: Float[np.ndarray, "k 3 3"]) -> tuple[Float[np.ndarray, 
     if len(triangles) < 4:  # fewer close around nothing
         return turned, solid
     faces = _faces(triangles)
+    numbers = itertools.count(1)
     for rows in _connected(faces):
         body, flip = _body(faces, turned, rows)
         if flip is not None:
-            solid[body] = 1.0
+            solid[body] = next(numbers)
             turned[body[flip]] = turned[body[flip]][:, ::-1]
     return turned, solid
 

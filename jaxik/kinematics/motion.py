@@ -60,8 +60,17 @@ class Motion(Pytree):
             raise TypeError("a single moment of a motion has no samples to pick")
         return jax.tree_util.tree_map(lambda x: x[rows], self)
 
+    def __len__(self) -> int:
+        """How many samples, or motions, there are along the first axis."""
+        if np.ndim(self.q) < 2:
+            raise TypeError("a single moment of a motion has no samples to count")
+        return len(self.q)
+
+    def __bool__(self) -> bool:
+        return True  # also a single moment, which has no length
+
     def __iter__(self) -> Iterator[Motion]:
-        return (self[k] for k in range(len(self.q)))
+        return (self[k] for k in range(len(self)))
 
     def needed(self, who: str, name: str) -> Any:
         """Returns one of its fields. Raises `ValueError`, `who` asking, where it is None."""

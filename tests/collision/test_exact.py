@@ -88,6 +88,8 @@ def test_what_is_swallowed_collides(arm):
     free, *swallowed = (measured(partial(jaxik.clearance, exact, scene), home[None])[0] for scene in (None, ball, inside))
     assert free > 0.0 and max(swallowed) < 0.0
     assert [contact.other for contact in jaxik.explain(exact, ball, home).colliding] == ["spheres_1"]
+    both = jaxik.make_scene(triangles=np.concatenate([s * np.asarray(shell.vertices)[shell.faces] for s in (0.6, 1.0)]))
+    assert np.isclose(measured(partial(jaxik.clearance, exact, both), home[None])[0], swallowed[1])  # the larger one's
 
 
 def test_nothing_is_near_where_nothing_is_checked(arm):

@@ -190,7 +190,7 @@ def test_what_is_closed_is_seen_from_outside(changed):
     first, second = (np.asarray(MESHES[name]) for name in ("hollow", "convex"))
     both = np.concatenate([changed(first), first[5:] + 2.0, changed(second) - 2.0])
     turned, solid = as_bodies(both)
-    assert np.array_equal(solid == 1.0, np.repeat([True, False, True], [len(first), len(first) - 5, len(second)]))
+    assert np.array_equal(solid, np.repeat([1.0, 0.0, 2.0], [len(first), len(first) - 5, len(second)]))
     for body, truth in ((turned[: len(first)], first), (turned[-len(second) :], second - 2.0)):
         inside = truth.mean(axis=(0, 1)) + ([0.16, 0.0, 0.0] if truth is first else 0.0)
         assert abs(winding(inside, body) - 1.0) <= 1e-9
