@@ -425,5 +425,7 @@ def size_of(scene: Scene | None) -> Any:
     """How large the numbers of a scene are [m], but for what is moved away."""
     leaves = [] if scene is None else jax.tree_util.tree_leaves([getattr(scene, kind) for kind in KINDS])
     xp = np if is_known(leaves) else jnp
-    sizes = [xp.max(xp.where(xp.abs(x) < FAR / 2.0, xp.abs(x), 0.0), initial=0.0) for x in map(xp.asarray, leaves)]
-    return xp.max(xp.stack([xp.asarray(x, float) for x in sizes])) if sizes else 0.0
+    if not leaves:
+        return 0.0
+    sizes = xp.abs(xp.concatenate([xp.asarray(x, float).ravel() for x in leaves]))
+    return xp.max(xp.where(sizes < FAR / 2.0, sizes, 0.0), initial=0.0)

@@ -12,14 +12,15 @@ import numpy as np
 from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import by_object, collides
 from jaxik.collision.continuous_collision import joint_reaches, motion_collides, size_of
-from jaxik.collision.own_shape import by_volumes
-from jaxik.collision.scene import Scene
+from jaxik.collision.own_shape import by_volumes, shape_of
+from jaxik.collision.scene import Scene, remembered
 from jaxik.kinematics.joint_turns import endless, whole_turns
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.shapes import Volume
 from jaxik.reasons import Reason
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
+from jaxik.spmd.packed import Packed, packed, unpacked
 
 RESOLUTION = 1e-3  # [m] by which a motion must keep more than its margin to be proven free
 PIECE = 0.1  # [m] of a motion that are proven at once
@@ -37,11 +38,11 @@ class CollisionChecker:
     def __init__(self, robot: Robot, scene: Scene | None, margin: float, cushion: float = 0.0):
         self.robot, self.carried = _apart(robot)
         self.margin, self.cushion = np.float32(margin), np.float32(cushion)
-        narrow = lambda x: np.asarray(x, np.float32 if np.issubdtype(np.result_type(x), np.floating) else None)
-        around = lambda robot: jax.tree_util.tree_map(narrow, grouped(scene, robot))
-        self.obstacles = around(robot)
-        self.model = (by_volumes(self.robot), around(by_volumes(robot))) if robot.surfaces else None
-        self.size = np.float32(size_of(scene))
+        self.obstacles, self.size = _surroundings(scene, robot)
+        self.model = None
+        if robot.surfaces:
+            model = by_volumes(self.robot)
+            self.model = model, _surroundings(scene, model)[0]
         self.endless = endless(robot)
         self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, robot) if self.carried else robot)
         self.checked = 0
@@ -129,6 +130,14 @@ def judged(robot: Robot, space: CollisionChecker | None, postures: np.ndarray) -
 Carried = dict[int, Volume]
 
 
+def _surroundings(scene: Scene | None, robot: Robot) -> tuple[Packed, np.float32]:
+    """Packs what surrounds a robot, as its kernels take it, and says how large the numbers of the scene are [m]."""
+    make = lambda: (packed(grouped(scene, robot), np.float32), np.float32(size_of(scene)))
+    if scene is None or not scene.concrete:
+        return make()
+    return remembered(scene, ("packed", shape_of(robot), bool(robot.surfaces), robot.ignored), make)
+
+
 def _apart(robot: Robot) -> tuple[Robot, Carried]:
     """The robot without the numbers of those of its volumes that are JAX arrays, and these by their place."""
     carried = {i: v for i, v in enumerate(robot.volumes) if isinstance(v.corners, jax.Array)}
@@ -145,7 +154,7 @@ def together(robot: Robot, carried: Carried) -> Robot:
 
 @host_kernels(1)
 def _hits(robot: Robot, q: Any, margin: Any, obstacles: Any, carried: Carried) -> Any:
-    return collides(together(robot, carried), obstacles, q, margin=margin)
+    return collides(together(robot, carried), unpacked(obstacles), q, margin=margin)
 
 
 @host_kernels(1)
@@ -157,4 +166,4 @@ def _objects(robot: Robot, count: int, q: Any, obstacles: Any, carried: Carried)
 def _moves(
     robot: Robot, start: Any, end: Any, margin: Any, resolution: Any, size: Any, obstacles: Any, carried: Carried
 ) -> Any:
-    return motion_collides(together(robot, carried), start, end, margin, resolution, size, obstacles)
+    return motion_collides(together(robot, carried), start, end, margin, resolution, size, unpacked(obstacles))

@@ -22,7 +22,7 @@ from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.limits import Limits, motion_limits
 from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory, padded
-from jaxik.planning.ways import LOOKS, Budget, blended, proven_way
+from jaxik.planning.ways import LOOKS, Found, blended, proven_ways
 from jaxik.reasons import Reason
 from jaxik.results import Result, by_row
 
@@ -62,7 +62,7 @@ class PlanOptions(Options, who="plan_motion"):
     )
     task: Task = instance(default=POSE, kind=Task, words="what a pose as the goal binds")
     postures: int = count(default=8, words="different postures of a pose among which the search may choose, the soonest ones")
-    places: int = count(default=512, words="number of places at which the speed is chosen (`time_path`)")
+    places: int = count(default=128, words="number of places at which the speed is chosen (`time_path`)")
 
 
 class PlanResult(Result):
@@ -148,28 +148,23 @@ def _planned(
         refused, goals = postures(robot, scene, starts, asked.poses, *bound)
         reason = np.array(refused, int)
     space = CollisionChecker(robot, scene, options.margin)
-    at_start = judged(robot, space, starts)
-    at_goal = judged(robot, space, goals.reshape(-1, robot.num_joints)).reshape(goals.shape[:2])
+    verdicts = judged(robot, space, np.concatenate([starts, goals.reshape(-1, robot.num_joints)]))
+    at_start, at_goal = verdicts[: len(starts)], verdicts[len(starts) :].reshape(goals.shape[:2])
     free = (at_start[:, None] == Reason.SOLVED) & (at_goal == Reason.SOLVED)
     straight = _straight(space, starts, goals, free, limits)
-    rounds, checked = np.zeros((2, len(starts)), int)
     where, ways = [""] * len(starts), list(straight)
-    total = options.rounds
-    searched = (lambda taken: progress(taken, total)) if progress is not None and asked.single else None
-    for i, start in enumerate(starts):
-        if reason[i] or at_start[i] or not free[i].any():
-            reason[i], where[i] = _refused(int(reason[i]), int(at_start[i]), at_goal[i])
-        elif straight[i] is None:
-            before, budget = space.checked, Budget(options.timeout, searched)
-            ends = goals[i][free[i]]
-            way = proven_way(space, start, ends, seed, options.rounds, budget)
-            if asked.poses is None and way is not None:
-                way = _soonest(space, way, ends, seed, budget, limits)
-            ways[i] = way
-            rounds[i], checked[i] = budget.rounds, space.checked - before
-            reason[i] = int(Reason.NOT_CONVERGED if ways[i] is None else Reason.SOLVED)
-        if progress is not None:
-            progress(*((total, total) if asked.single else (i + 1, len(starts))))
+    for i in np.flatnonzero(reason | at_start | ~free.any(axis=1)).tolist():
+        reason[i], where[i] = _refused(int(reason[i]), int(at_start[i]), at_goal[i])
+    rows = np.array([i for i, way in enumerate(ways) if way is None and not where[i]], int)
+    total = options.rounds if asked.single else len(starts)
+    tell = progress or (lambda done, total: None)
+    told = lambda taken, ended: tell(int(taken[0]) if asked.single else len(starts) - len(rows) + ended, total)
+    found = _searched(space, starts[rows], [goals[i][free[i]] for i in rows], asked, seed, options, limits, told)
+    rounds, checked = np.zeros((2, len(starts)), int)
+    rounds[rows], checked[rows] = found.rounds, found.checked
+    for i, way in zip(rows.tolist(), found.ways, strict=True):
+        ways[i], reason[i] = way, int(Reason.NOT_CONVERGED if way is None else Reason.SOLVED)
+    tell(total, total)
     timed = iter(_timed(robot, [_rounded(space, way) for way in ways if way is not None], limits, options.places))
     trajectories = tuple(None if way is None else next(timed) for way in ways)
     return PlanResult(reason, tuple(where), tuple(ways), trajectories, rounds, checked)
@@ -197,18 +192,41 @@ def _straight(
     return [np.stack([starts[i], goals[i, k]]) if np.isfinite(times[i, k]) else None for i, k in best]
 
 
-def _soonest(
-    space: CollisionChecker, way: np.ndarray, goals: np.ndarray, seed: int, budget: Budget, limits: Limits
-) -> np.ndarray:
-    """The way that takes the least time, by lines that begin and end at rest: the one that was found, to some goal, or one to
-    another (g, n) that is nearer, if as much search again finds it."""
+def _searched(
+    space: CollisionChecker,
+    starts: np.ndarray,
+    goals: list[np.ndarray],
+    asked: Ends,
+    seed: int,
+    options: PlanOptions,
+    limits: Limits,
+    told: Callable[[np.ndarray, int], Any],
+) -> Found:
+    """Ways from the starts (b, n) to one of the goals (g, n) of each.
+
+    Where configurations are given as goals, the one is taken to which the way takes the least time, by lines that begin and
+    end at rest: the one that the search has come to, or another one that is nearer, if as much search again finds it."""
+    seconds = None if options.timeout is None else options.timeout * len(starts)
+    found = proven_ways(space, starts, goals, seed, np.full(len(starts), options.rounds), seconds, told)
+    if asked.poses is not None:
+        return found
     lasts = lambda way: limits.straight(np.diff(way, axis=0)).sum()
-    rounds, left = budget.rounds, goals[(goals != way[-1]).any(axis=1)]
-    for goal in left[np.argsort(limits.straight(left - way[0]), kind="stable")]:
-        if limits.straight(goal - way[0]) < lasts(way):
-            other = proven_way(space, way[0], goal[None], seed, rounds, budget)
-            way = way if other is None or lasts(other) >= lasts(way) else other
-    return way
+    for k in range(1, max(map(len, goals), default=0)):
+        rows, others = [], []
+        for i, way in enumerate(found.ways):
+            if way is not None and k < len(goals[i]):
+                left = goals[i][(goals[i] != way[-1]).any(axis=1)]
+                order = np.argsort(limits.straight(left - starts[i]), kind="stable")
+                if k <= len(order) and limits.straight(left[order[k - 1]] - starts[i]) < lasts(way):
+                    rows.append(i)
+                    others.append(left[order[k - 1]][None])
+        if rows:
+            again = proven_ways(space, starts[rows], others, seed, found.rounds[rows])
+            for i, way in zip(rows, again.ways, strict=True):
+                if way is not None and lasts(way) < lasts(found.ways[i]):
+                    found.ways[i] = way
+            found.checked[rows] += again.checked
+    return found
 
 
 def _rounded(space: CollisionChecker, waypoints: np.ndarray) -> JointPath:

@@ -8,6 +8,7 @@ programming; of its lines the first that is not known yet is sampled, and where 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Self
 
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ from jaxik.planning.collision_checker import Carried, CollisionChecker, together
 from jaxik.spmd import TEAM, team
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
+from jaxik.spmd.packed import unpacked
 from jaxik.spmd.trace import TEAM_SIZE
 
 BLOCKS = 8
@@ -48,50 +50,51 @@ class Chain(NamedTuple):
 class Places:
     """Places on a way, and what is known of the lines between them."""
 
-    def __init__(self, space: CollisionChecker, points: np.ndarray, lines: np.ndarray):
-        self.space, self.points, self.lines = space, points, lines
+    def __init__(self, points: np.ndarray, lines: np.ndarray):
+        self.points, self.lines = points, lines
 
     @classmethod
-    def on(cls, space: CollisionChecker, way: np.ndarray, apart: float) -> Self:
-        """The waypoints, and others between them, at most so far apart [m], as far as there is room. What lies on one line of
-        the way is free of each other."""
-        lengths = space.length(np.diff(way, axis=0))
+    def on(cls, way: np.ndarray, lengths: np.ndarray, apart: float) -> Self:
+        """The waypoints (k, n), and others between them, at most so far apart [m], as far as there is room. What lies on one
+        line of the way, which has such `lengths` [m], is free of each other."""
         counts = np.maximum(1, np.ceil(lengths / apart)).astype(int)
         if counts.sum() >= PLACES:
             counts = np.ones(len(lengths), int)
-        line, shares = np.repeat(np.arange(len(counts)), counts), np.concatenate([np.arange(k) / k for k in counts])
-        points = np.concatenate([way[line] + shares[:, None] * (way[line + 1] - way[line]), way[-1:]])
         first = np.concatenate([[0], np.cumsum(counts)])
+        line = np.repeat(np.arange(len(counts)), counts)
+        share = (np.arange(first[-1]) - first[line]) / counts[line]
+        points = np.concatenate([way[line] + share[:, None] * (way[line + 1] - way[line]), way[-1:]])
         lines = np.zeros((PLACES, PLACES), np.int8)
-        for begin, end in itertools.pairwise(first):
+        for begin, end in itertools.pairwise(first.tolist()):
             lines[begin : end + 1, begin : end + 1] = FREE
-        return cls(space, points, lines)
+        return cls(points, lines)
 
-    def bar(self, lines: list[tuple[int, int]]) -> None:
-        """Takes lines, from a place to a later one, for such that hit."""
-        for before, after in lines:
-            self.lines[after, before] = HIT
+    def bar(self, lines: np.ndarray) -> None:
+        """Takes lines (k, 2), from a place to a later one, for such that hit."""
+        self.lines[lines[:, 1], lines[:, 0]] = HIT
 
-    def shortest(self, step: float, cushion: float) -> np.ndarray:
-        """The numbers (k,) of the places of the shortest chain of lines that are free by samples; none where there is none."""
-        space, count, n = self.space, len(self.points), self.points.shape[1]
-        points = np.zeros((n, PLACES), np.float32)
-        points[:, :count] = self.points.T
-        rows = (
-            points.reshape(1, n, BLOCKS, TEAM_SIZE),
-            np.array([count], np.int32),
-            self.lines.reshape(1, PLACES, BLOCKS, TEAM_SIZE),
-        )
-        reach = np.array([[step, space.margin + cushion]], np.float32)
-        fixed = np.asarray(space.weights, np.float32), space.obstacles, space.carried
-        before, lines, length, turns = in_blocks(shortest(space.robot), *rows, reach, size=1, fixed=fixed, double=False)
-        self.lines, self.space.checked = lines.reshape(PLACES, PLACES), space.checked + TEAM_SIZE * int(turns[0])
-        if not np.isfinite(length[0]):
-            return np.zeros(0, int)
-        chain = [count - 1]
+
+def chains(
+    space: CollisionChecker, places: Sequence[Places], step: float, cushion: np.ndarray
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """The numbers (k,) of the places of each shortest chain of lines that are free by samples, every `step` [m] and with a
+    `cushion` (b,) [m] beyond the margin; none where there is none. And how many configurations were looked at for each (b,)."""
+    n, count = places[0].points.shape[1], np.array([len(each.points) for each in places], np.int32)
+    points = np.zeros((len(places), n, PLACES), np.float32)
+    for row, each in zip(points, places, strict=True):
+        row[:, : len(each.points)] = each.points.T
+    blocks = lambda x: x.reshape(*x.shape[:-1], BLOCKS, TEAM_SIZE)
+    reach = np.stack([np.full(len(places), step), space.margin + cushion], axis=1).astype(np.float32)
+    rows = blocks(points), count, blocks(np.stack([each.lines for each in places])), reach
+    fixed = np.asarray(space.weights, np.float32), space.obstacles, space.carried
+    before, lines, length, looked = in_blocks(shortest(space.robot), *rows, size=1, fixed=fixed, double=False)
+    found = []
+    for i, each in enumerate(places):
+        each.lines, chain = lines[i].reshape(PLACES, PLACES), [int(count[i]) - 1]
         while chain[-1]:
-            chain.append(int(before[0, chain[-1]]))
-        return np.array(chain[::-1])
+            chain.append(int(before[i, chain[-1]]))
+        found.append(np.array(chain[::-1] if np.isfinite(length[i]) else [], int))
+    return found, TEAM_SIZE * looked
 
 
 @host_kernels(4)
@@ -107,7 +110,7 @@ def shortest(
         room = jnp.zeros((max(1, 3 - len(points)), *points.shape[1:]), points.dtype)
         none = jnp.int32(0)
         first = Chain(jnp.concatenate([points, room]), lines, count - 1, none, none, jnp.bool_(False))
-        search = _Lazy(together(robot, carried), count, reach[0], reach[1], weights, obstacles)
+        search = _Lazy(together(robot, carried), count, reach[0], reach[1], weights, unpacked(obstacles))
         first = first._replace(places=search.distances(first.places, lines, jnp.int32(1)))
         chain = lax.while_loop(lambda c: ~c.done, search.turn, first)
         length = search.distance(chain.places, count - 1)

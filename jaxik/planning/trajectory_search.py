@@ -95,7 +95,7 @@ class Search:
     def _in_turn(
         self, rank: np.ndarray, rows: np.ndarray, found: Any, refined: Callable[[np.ndarray, Any], Any]
     ) -> list[Solved]:
-        """What is free of motions that were found, of each problem by their `rank` until one is."""
+        """Keeps those of the motions that are free: of each problem the first one that is, by their `rank`."""
         kept = []
         for number in range(rank.max(initial=-1) + 1):
             pick = (rank == number) & (self.reason[rows] != Reason.SOLVED)

@@ -10,6 +10,7 @@ spreads them over any number of joints [Roberts 2018, "The unreasonable effectiv
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -22,6 +23,7 @@ from jaxik.planning.collision_checker import CollisionChecker, together
 from jaxik.spmd import TEAM, team
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
+from jaxik.spmd.packed import unpacked
 from jaxik.spmd.trace import TEAM_SIZE
 
 BLOCKS = 256  # of nodes that a tree has room for, as many a block as a team has lanes
@@ -53,58 +55,63 @@ class Search(NamedTuple):
     joined: Any
 
 
-class Trees:
-    """A search from one of the starts (s, n) to one of the goals (g, n), with samples between `lower` and `upper` (n,); which
-    they are is drawn from `rng`."""
+class Searches:
+    """Searches for problems that are many or one: from the start (n,) of each to one of its goals (g, n), with samples between
+    `lower` and `upper` (b, n); which they are is drawn from the same `seed` for each. `taken` (b,) are the turns of each."""
 
     def __init__(
         self,
         space: CollisionChecker,
         starts: np.ndarray,
-        goals: np.ndarray,
+        goals: Sequence[np.ndarray],
         lower: np.ndarray,
         upper: np.ndarray,
-        rng: np.random.Generator,
+        seed: int,
     ):
-        n = starts.shape[1]
-        nodes, parent = np.empty((1, 2, n, BLOCKS, TEAM_SIZE), np.float32), np.empty((1, 2, ROOM), np.int32)
-        for tree, roots in enumerate((starts, goals)):
-            nodes.reshape(2, n, ROOM)[tree, :, : len(roots)] = roots.T
-            parent[0, tree, : len(roots)] = -1
-        none, count = np.zeros(1, np.int32), np.array([[len(starts), len(goals)]], np.int32)
-        self.search = Search(nodes, parent, count, none, none, np.zeros((1, n), np.float32), none, none, none, none, none > 0)
-        self.space, self.offset = space, rng.integers(0, 2**32, (1, n), dtype=np.uint32)
-        self.range = lower.astype(np.float32)[None], upper.astype(np.float32)[None]
+        count, n = starts.shape
+        self.space, self.starts, self.goals = space, starts, goals
+        self.range = lower.astype(np.float32), upper.astype(np.float32)
+        self.offset, self.taken = np.zeros((count, n), np.uint32), np.zeros(count, int)
+        self.draws = [np.random.default_rng(seed) for _ in range(count)]
+        none = np.zeros(count, np.int32)
+        nodes = np.empty((count, 2, n, BLOCKS, TEAM_SIZE), np.float32), np.empty((count, 2, ROOM), np.int32)
+        first = none, none.copy(), np.zeros((count, n), np.float32), *(none.copy() for _ in range(4)), none > 0
+        self.found = Search(*nodes, np.zeros((count, 2), np.int32), *first)
+        for row in range(count):
+            self.begin(row)
 
-    @property
-    def joined(self) -> bool:
-        """Whether the trees have met."""
-        return bool(self.search.joined[0])
+    def begin(self, row: int) -> None:
+        """Begins a search, or begins it anew with other samples."""
+        found, roots = self.found, (self.starts[row : row + 1], self.goals[row])
+        for tree, nodes in enumerate(roots):
+            found.nodes[row, tree].reshape(-1, ROOM)[:, : len(nodes)] = nodes.T
+            found.parent[row, tree, : len(nodes)] = -1
+        for each in found[3:]:
+            each[row] = 0
+        found.count[row] = [len(nodes) for nodes in roots]
+        self.offset[row] = self.draws[row].integers(0, 2**32, self.offset.shape[1], dtype=np.uint32)
 
-    @property
-    def count(self) -> np.ndarray:
-        """The number of nodes of each (2,)."""
-        return self.search.count[0]
+    def grow(self, rows: np.ndarray, turns: np.ndarray, step: float, cushion: np.ndarray) -> None:
+        """Searches on in some rows for so many turns (b,), or fewer if the trees meet or have no room left, with a sample every
+        `step` [m] that keeps a `cushion` (b,) [m] beyond the margin."""
+        space, whole = self.space, len(rows) == len(self.starts)
+        of = (lambda x: x) if whole else (lambda x: x[rows])
+        before = of(self.found.turn)
+        margin = (space.margin + cushion).astype(np.float32)
+        reach = *map(of, self.range), np.full(len(rows), step, np.float32), margin
+        given = *map(of, self.found), of(self.offset), *reach, (before + turns).astype(np.int32)
+        fixed = np.asarray(space.weights, np.float32), space.obstacles, space.carried
+        found = Search(*in_blocks(searched(space.robot), *given, size=1, fixed=fixed, double=False))
+        self.taken[rows] += found.turn - before
+        if whole:
+            self.found = Search(*(x if x.flags.writeable else x.copy() for x in found))
+            return
+        for old, new in zip(self.found, found, strict=True):
+            old[rows] = new
 
-    @property
-    def full(self) -> bool:
-        return bool(self.count.max() >= ROOM)
-
-    def grow(self, turns: int, step: float, cushion: float) -> int:
-        """Searches on for so many turns, or fewer if the trees meet or have no room left, with a sample every `step` [m] that
-        keeps a `cushion` [m] beyond the margin. Returns how many."""
-        space, before = self.space, int(self.search.turn[0])
-        single = lambda x: np.array([x], np.float32)
-        rows = *self.search, self.offset, *self.range, single(step), single(space.margin + cushion)
-        fixed = np.int32(turns), np.asarray(space.weights, np.float32), space.obstacles, space.carried
-        self.search = Search(*in_blocks(searched(space.robot), *rows, size=1, fixed=fixed, double=False))
-        taken = int(self.search.turn[0]) - before
-        space.checked += TEAM_SIZE * taken
-        return taken
-
-    def way(self) -> np.ndarray:
-        """The waypoints (k, n) from a start to a goal, where the trees have met."""
-        found = Search(*(x[0] for x in self.search))
+    def way(self, row: int) -> np.ndarray:
+        """The waypoints (k, n) from the start to a goal, where the trees have met."""
+        found = Search(*(x[row] for x in self.found))
         grown, nodes = int(found.tree), found.nodes.reshape(2, -1, ROOM)
         ways: list[list[np.ndarray]] = [[], []]
         for tree, node in ((grown, int(found.newest)), (1 - grown, int(found.base))):
@@ -124,24 +131,24 @@ class Reach(NamedTuple):
     margin: Any
 
 
-@host_kernels(len(Search._fields) + 1 + len(Reach._fields))
+@host_kernels(len(Search._fields) + 2 + len(Reach._fields))
 def searched(robot: Robot, *args: Any) -> Search:
-    """The search after so many turns more, or fewer where the trees meet or one has no room left.
+    """The search after so many turns in all, or fewer where the trees meet or one has no room left.
 
-    Takes the fields of a `Search`, the `offset` (n,) at which its samples begin, as whole numbers of 32 bits, and its `Reach`;
-    then, what all searches share, the number of turns, the joints' weights (n,) by which lengths are measured, the obstacles,
-    and what is carried."""
+    Takes the fields of a `Search`, the `offset` (n,) at which its samples begin, as whole numbers of 32 bits, its `Reach`, and
+    the turn at which it is to end; then, what all searches share, the joints' weights (n,) by which lengths are measured, the
+    obstacles, and what is carried."""
     count = len(Search._fields)
 
     def lane(*args: Any) -> Search:
-        search, offset, (*reach, turns, weights, obstacles, carried) = Search(*args[:count]), args[count], args[count + 1 :]
-        return _searched(together(robot, carried), search, offset, Reach(*reach), turns, weights, obstacles)
+        search, offset, (*reach, end, weights, obstacles, carried) = Search(*args[:count]), args[count], args[count + 1 :]
+        return _searched(together(robot, carried), search, offset, Reach(*reach), end, weights, unpacked(obstacles))
 
     return team(lane)(*args)
 
 
-def _searched(robot: Robot, search: Search, offset: Any, reach: Any, turns: Any, weights: Any, obstacles: Any) -> Search:
-    me, end = lax.axis_index(TEAM), search.turn + turns
+def _searched(robot: Robot, search: Search, offset: Any, reach: Any, end: Any, weights: Any, obstacles: Any) -> Search:
+    me = lax.axis_index(TEAM)
 
     def goes_on(s: Search) -> Any:
         return (s.turn < end) & ~s.joined & (jnp.max(s.count) < ROOM)

@@ -20,7 +20,7 @@ from jaxik.spmd.decorator import kernel
 from jaxik.spmd.host import HostKernel
 from jaxik.spmd.program import Unsupported
 from jaxik.spmd.report import KernelReport, describe
-from jaxik.spmd.team import team
+from jaxik.spmd.teams import team
 from jaxik.spmd.trace import TEAM
 
 __all__ = ["TEAM", "ControlLoop", "HostKernel", "KernelReport", "Stepped", "Unsupported", "describe", "kernel", "team"]

@@ -234,7 +234,7 @@ class Emitter:
         return f"  %v{turn} = phi i32 [ 0, %{before} ], [ {step}, %{last} ]"
 
     def _part(self, truths: str | None) -> None:
-        """From here on only those lanes take part for which it holds, of those that do."""
+        """Only those lanes take part from here on for which it holds, of those that do."""
         if truths is not None and self.taking_part is not None:
             truths = self.text.assign(f"and {self.text.vector('i1')} {truths}, {self.taking_part}")
         self.taking_part = truths or self.taking_part

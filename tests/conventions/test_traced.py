@@ -77,6 +77,7 @@ LONGER = {
     "motions.predict",
     "planning.trajectory_cost",
     "spmd.kernel",
+    "spmd.team",
 }
 
 

@@ -17,7 +17,7 @@ RNG = np.random.default_rng(0)
 
 @pytest.fixture(autouse=True)
 def by_a_kernel():
-    """What would go to XLA fails here."""
+    """A warning of a function that goes to XLA fails here."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         yield
@@ -112,7 +112,7 @@ def test_a_result_of_one_lane_is_refused():
 
 
 def test_a_table_is_written_in_place():
-    """At computed places, by lanes that end at different turns; also added to, by branches, and at none."""
+    """Writes at computed places, by lanes that end at different turns; also added to, by branches, and at none."""
 
     def walked(n):
         def turn(state):

@@ -82,8 +82,8 @@ def _cond(s: Scalariser, eqn: Any, which: Array, *args: Array) -> list[Array]:
 
 
 class _Sides:
-    """What the sides of a branch give, as `outputs` of an equation: values, and arrays that were in memory before it, to which
-    any of them may have written."""
+    """The results of a branch's sides, `outputs` of an equation: values, and arrays that were in memory before it, to which any
+    of them may have written."""
 
     def __init__(self, s: Scalariser, outputs: Sequence[Any]):
         self.s, self.outputs, self.before, self.after = s, outputs, dict(s.kept), dict(s.kept)
