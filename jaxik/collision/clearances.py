@@ -24,7 +24,8 @@ from jaxik.collision.bvh import Grouped, at_margin, grouped, obstacles_in
 from jaxik.collision.nearest_pair import Space
 from jaxik.collision.scene import FAR, Scene
 from jaxik.kinematics.robot import Robot, as_configuration
-from jaxik.spmd import kernel
+from jaxik.spmd import TEAM, kernel
+from jaxik.spmd.trace import TEAM_SIZE
 
 
 def clearance(robot: Robot, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[jax.Array, ""]:
@@ -169,12 +170,34 @@ def by_object(robot: Robot, count: int, around: Grouped, q: Any) -> Any:
 
 @kernel(models=1, order=_order)
 def _collides(robot: Robot, around: Grouped, q: Any, margin: Any) -> Any:
-    return collides_unless(robot, around, q, margin, lambda hit: hit)
+    return _too_near(robot, around, q, margin, lambda hit: hit)
 
 
-def collides_unless(robot: Robot, around: Grouped, q: Any, margin: Any, settled: Callable[[Any], Any]) -> Any:
-    """`collides`, where `settled` may end it sooner: of whether something is too near so far, whether no more need be known.
-    Nothing is checked. Traced."""
+def first_to_collide(robot: Robot, around: Grouped, q: Any, margin: Any, every: Any) -> Any:
+    """The number of a team's first lane whose configuration `collides`, or how many lanes there are. With `every` any one that
+    does will do. Lanes behind the first need not be known. Nothing is checked. Traced.
+
+    Programs that ask for it with arguments of the same shapes share one trace."""
+    ask = _remembered if is_known(robot) else _first_to_collide
+    return ask(robot, around, q, jnp.asarray(margin, q.dtype), jnp.asarray(every))
+
+
+def _first_to_collide(robot: Robot, around: Grouped, q: Any, margin: Any, every: Any) -> Any:
+    me = lax.axis_index(TEAM)
+    first = lambda hit: lax.pmin(jnp.where(hit, me, TEAM_SIZE), TEAM)
+
+    def settled(hit: Any) -> Any:
+        known = first(hit)
+        return (known < TEAM_SIZE) & (every | (me >= known))
+
+    return first(_too_near(robot, around, q, margin, settled))
+
+
+_remembered = jax.jit(_first_to_collide, static_argnums=0)
+
+
+def _too_near(robot: Robot, around: Grouped, q: Any, margin: Any, settled: Callable[[Any], Any]) -> Any:
+    """`collides`, where `settled` may end it: of whether something is too near so far, whether no more need be known."""
     q = as_configuration(robot, q)
     margin = jnp.asarray(margin, q.dtype)
     least = Space(robot, at_margin(around, margin), q).all(margin, enough=margin, settled=settled).distance

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxik.collision.clearances import collides_unless
+from jaxik.collision.clearances import first_to_collide
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import Carried, CollisionChecker, together
 from jaxik.spmd import TEAM, team
@@ -192,5 +192,4 @@ class _Lazy:
 
     def hits(self, q: Any) -> Any:
         """Whether any lane's configuration does."""
-        settled = lambda hit: lax.pmax(hit, TEAM)
-        return lax.pmax(collides_unless(self.robot, self.obstacles, q, self.margin, settled), TEAM)
+        return first_to_collide(self.robot, self.obstacles, q, self.margin, True) < TEAM_SIZE

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxik.collision.clearances import collides_unless
+from jaxik.collision.clearances import first_to_collide
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker, together
 from jaxik.spmd import TEAM, team
@@ -164,8 +164,7 @@ def _searched(robot: Robot, search: Search, offset: Any, reach: Any, end: Any, w
         last = jnp.where(arrives, target, first + most / far * (target - first))
         samples = jnp.maximum(jnp.ceil(jnp.minimum(far, most) / reach.step), 1.0)
         q = first + jnp.minimum((me + 1) / samples, 1.0) * (last - first)
-        first_hit = lambda hit: lax.pmin(jnp.where(hit, me, TEAM_SIZE), TEAM)
-        hit = first_hit(collides_unless(robot, obstacles, q, reach.margin, lambda hit: me >= first_hit(hit)))
+        hit = first_to_collide(robot, obstacles, q, reach.margin, False)
         free = hit >= samples
         new = jnp.where(free, last, first + hit / samples * (last - first))
         beside = lambda: _length(_node(s.nodes, own, _nearest(s.nodes, own, s.count[own], new, weights)) - new, weights)
