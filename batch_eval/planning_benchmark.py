@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import fresh
+import jax
 import numpy as np
 import toppra
 import toppra.algorithm
@@ -80,11 +81,49 @@ def problems(folder: Path, tip: str | None = None) -> dict[str, Any]:
         "duration_s": float(np.median([m.trajectory.duration for m in solved])),  # type: ignore[union-attr]
         "stopping_s": float(np.median([s.duration for s in stops])),
         "waypoints": float(np.median([len(m.waypoints) for m in solved])),  # type: ignore[arg-type]
+        "length_m": float(np.mean([length(robot, m.waypoints) for m in solved])),
+        "rounds": [float(x) for x in np.percentile([m.rounds for m in motions if m.rounds], [50, 95, 100])],
+        "seeds": seeds(robot, goals[:: max(1, len(goals) // 70)]),
+        "many": many(robot, goals[0].scene),
         "failed": {goal.name: moved.why for goal, moved in zip(goals, motions, strict=True) if not moved},
         "fresh": fresh.first_motions(folder, tip),
     }
     print(json.dumps(result))
     return result
+
+
+def length(robot: jaxik.Robot, waypoints: Any) -> float:
+    """The length of a way, joints weighted by how far their unit moves the robot at most [m]."""
+    reach = jaxik.collision.continuous_collision.joint_reaches(robot)
+    return float(np.sum(np.linalg.norm(np.diff(waypoints, axis=0) * reach, axis=1)))
+
+
+def seeds(robot: jaxik.Robot, goals: list[Any], count: int = 5) -> dict[str, Any]:
+    """How often each of so many seeds finds a way."""
+    found = [plan_motion(robot, goal.start, goal.q, scene=goal.scene, seed=seed) for goal in goals for seed in range(count)]
+    refused = sum(bool(moved.where) for moved in found)
+    return {"asked": len(found) - refused, "solved": sum(map(bool, found))}
+
+
+def many(robot: jaxik.Robot, scene: jaxik.Scene, count: int = 10_000) -> dict[str, Any]:
+    """Motions between random free postures in one scene, all in one call and one by one; the latter are to be the same."""
+    rng, lower, upper = np.random.default_rng(0), *robot.finite_limits
+    q = rng.uniform(lower, upper, (8 * count, robot.num_joints))
+    free = q[np.asarray(jax.vmap(lambda q: jaxik.clearance(robot, scene, q))(q)) > 0.0][: 2 * count]
+    starts, goals = free[: len(free) // 2], free[len(free) // 2 :]
+    plan_motion(robot, starts[:9], goals[:9], scene=scene)  # compiles
+    moved, seconds = clocked(lambda: plan_motion(robot, starts, goals, scene=scene))
+    some = range(0, len(starts), max(1, len(starts) // 200))
+    alone, each = clocked(lambda: [plan_motion(robot, starts[i], goals[i], scene=scene) for i in some])
+    return {
+        "motions": len(starts),
+        "solved": int(np.sum(moved.success)),
+        "straight": int(np.sum(moved.rounds == 0)),
+        "ms_each": 1e3 * seconds / len(starts),
+        "alone_ms_each": 1e3 * each / len(some),
+        "an_hour": 3600.0 * len(starts) / seconds,
+        "as_alone": all(np.array_equal(moved[i].waypoints, one.waypoints) for i, one in zip(some, alone, strict=True) if one),
+    }
 
 
 def timing(rounds: int = 5, theirs: int = 20) -> dict[str, Any]:
