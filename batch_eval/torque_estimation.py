@@ -146,6 +146,11 @@ def errors(named: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
+def shares(rms: list[list[float]]) -> list[float]:
+    """The mean (7,) of errors (4, 7) [Nm], as shares of nominal torque."""
+    return (np.nanmean(rms, axis=0) / [float(model().drives[i].nominal_torque) for i in SHOWN]).tolist()
+
+
 def swing(speed: float) -> list[Trajectory]:
     """About the stretched posture, in which table 3.10's levers are the longest."""
     away = np.array([0.0, 0.5, 0.35, 0.35, 0.2, 0.1, 0.1, 0.1, 0.1])
@@ -260,6 +265,7 @@ def study(quick: bool = False, tell: Callable[[int, int], Any] | None = None) ->
         "nominal_torque": [float(model().drives[i].nominal_torque) for i in SHOWN],
         "sweep": swept,
         "rmse": rms,
+        "share_of_nominal": {name: shares(each) for name, each in rms.items()},
         "detection": detection(named[BEST], rms[BEST], told),
         "step": step_times(named),
     }

@@ -2,8 +2,8 @@
 
 The template, `batch_eval/tables/papers.md`, has places such as `{peppers/heuristic/converged*100:.0f}`: a file of `batch_eval`,
 the way to a value, a factor and a format. A part of the way is a key, a number of a list, or `who=tpbvp`, the first row of a
-list that has this, joined by `&` where it takes more, or `min`, `median` or `max` of a list; a list of numbers is written
-with commas.
+list that has this, joined by `&` where it takes more, or `each.error_m`, this of each row of a list, or `min`, `median` or
+`max` of a list; a list of numbers is written with commas.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ def value(name: str, way: str) -> Any:
     for part in way.split("/"):
         if isinstance(found, dict):
             found = found[part]
+        elif part.startswith("each."):
+            found = [row[part.removeprefix("each.")] for row in found]
         elif part in LIST:
             found = LIST[part](found)
         elif "=" in part:
