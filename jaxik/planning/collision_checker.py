@@ -52,11 +52,12 @@ class CollisionChecker:
         return np.linalg.norm(moved * self.weights, axis=-1)
 
     def hits(self, q: np.ndarray, cushion: Any = 0.0) -> np.ndarray:
-        """Whether configurations (b, n) come nearer than the margin and a cushion [m] beyond it."""
+        """Whether configurations (b, n) come nearer than the margin and a cushion [m] beyond it, one or one each (b,)."""
         self.checked += len(q)
-        margin, turned = self.margin + np.float32(cushion), q - whole_turns(self.endless, q)
+        margin, turned = self.margin + np.asarray(cushion, np.float32), q - whole_turns(self.endless, q)
+        margins = np.broadcast_to(margin, len(q))
         asked = lambda robot, around, rows: in_blocks(
-            _hits(robot), turned[rows], fixed=(margin, around, self.carried), double=False
+            _hits(robot), turned[rows], margins[rows], fixed=(around, self.carried), double=False
         )[0]
         return self._first_by_volumes(asked)
 
@@ -75,6 +76,8 @@ class CollisionChecker:
     def proven(self, start: np.ndarray, end: np.ndarray, extra: Any = 0.0, resolution: float = RESOLUTION) -> np.ndarray:
         """Whether straight motions are proven to keep the margin, and `extra` (b,) [m] beyond it, throughout: piece by piece,
         which lanes share better than whole motions."""
+        if not len(start):
+            return np.zeros(0, bool)
         turns = whole_turns(self.endless, start)  # float32 has few digits left after many
         start, end = start - turns, end - turns
         counts = np.maximum(1, np.ceil(self.length(end - start) / PIECE)).astype(int)
@@ -89,7 +92,7 @@ class CollisionChecker:
             return in_blocks(_moves(robot), begin[rows], finish[rows], margins[rows], fixed=fixed, double=False)[0]
 
         hit = self._first_by_volumes(asked)
-        return ~np.logical_or.reduceat(hit, first) if len(start) else np.zeros(0, bool)
+        return ~np.logical_or.reduceat(hit, first)
 
     def _first_by_volumes(self, asked: Callable[[Robot, Any, Any], np.ndarray]) -> np.ndarray:
         """Whether rows hit, by `asked`, which takes a robot, its obstacles, and some of the rows: for an exact robot first by
@@ -152,7 +155,7 @@ def together(robot: Robot, carried: Carried) -> Robot:
     return dataclasses.replace(robot, volumes=volumes) if carried else robot
 
 
-@host_kernels(1)
+@host_kernels(2)
 def _hits(robot: Robot, q: Any, margin: Any, obstacles: Any, carried: Carried) -> Any:
     return collides(together(robot, carried), unpacked(obstacles), q, margin=margin)
 

@@ -58,7 +58,7 @@ class PlanOptions(Options, who="plan_motion"):
         least=0.0,
         optional=True,
         unit="s",
-        words="limit of time for the search of each problem; with None `seed` alone decides",
+        words="limit of time for the search of each problem, of many on average; with None `seed` alone decides",
     )
     task: Task = instance(default=POSE, kind=Task, words="what a pose as the goal binds")
     postures: int = count(default=8, words="different postures of a pose among which the search may choose, the soonest ones")
@@ -158,14 +158,14 @@ def _planned(
     rows = np.array([i for i, way in enumerate(ways) if way is None and not where[i]], int)
     total = options.rounds if asked.single else len(starts)
     tell = progress or (lambda done, total: None)
-    told = lambda taken, ended: tell(int(taken[0]) if asked.single else len(starts) - len(rows) + ended, total)
+    told = lambda taken, ended: tell(taken if asked.single else len(starts) - len(rows) + ended, total)
     found = _searched(space, starts[rows], [goals[i][free[i]] for i in rows], asked, seed, options, limits, told)
     rounds, checked = np.zeros((2, len(starts)), int)
     rounds[rows], checked[rows] = found.rounds, found.checked
     for i, way in zip(rows.tolist(), found.ways, strict=True):
         ways[i], reason[i] = way, int(Reason.NOT_CONVERGED if way is None else Reason.SOLVED)
     tell(total, total)
-    timed = iter(_timed(robot, [_rounded(space, way) for way in ways if way is not None], limits, options.places))
+    timed = iter(_timed(robot, _rounded(space, [way for way in ways if way is not None]), limits, options.places))
     trajectories = tuple(None if way is None else next(timed) for way in ways)
     return PlanResult(reason, tuple(where), tuple(ways), trajectories, rounds, checked)
 
@@ -200,14 +200,13 @@ def _searched(
     seed: int,
     options: PlanOptions,
     limits: Limits,
-    told: Callable[[np.ndarray, int], Any],
+    told: Callable[[int, int], Any],
 ) -> Found:
     """Ways from the starts (b, n) to one of the goals (g, n) of each.
 
     Where configurations are given as goals, the one is taken to which the way takes the least time, by lines that begin and
     end at rest: the one that the search has come to, or another one that is nearer, if as much search again finds it."""
-    seconds = None if options.timeout is None else options.timeout * len(starts)
-    found = proven_ways(space, starts, goals, seed, np.full(len(starts), options.rounds), seconds, told)
+    found = proven_ways(space, starts, goals, seed, np.full(len(starts), options.rounds), options.timeout, told)
     if asked.poses is not None:
         return found
     lasts = lambda way: limits.straight(np.diff(way, axis=0)).sum()
@@ -229,11 +228,13 @@ def _searched(
     return found
 
 
-def _rounded(space: CollisionChecker, waypoints: np.ndarray) -> JointPath:
-    """Rounds the corners of a way; the path has a power of two of pieces, so that programs are few."""
-    moves = space.length(np.diff(waypoints, axis=0)).sum() > 0.0
-    path = blended(space, waypoints) if moves else JointPath.polyline(waypoints)
-    return padded(path, 2 ** max(2, int(np.ceil(np.log2(len(path.lengths))))))
+def _rounded(space: CollisionChecker, ways: list[np.ndarray]) -> list[JointPath]:
+    """Rounds the corners of ways; each path has a power of two of pieces, so that programs are few."""
+    moves = [i for i, way in enumerate(ways) if (way[1:] != way[:-1]).any()]
+    paths = {i: JointPath.polyline(way) for i, way in enumerate(ways) if i not in moves}
+    if moves:
+        paths |= dict(zip(moves, blended(space, [ways[i] for i in moves]), strict=True))
+    return [padded(paths[i], 2 ** max(2, int(np.ceil(np.log2(len(paths[i].lengths)))))) for i in range(len(ways))]
 
 
 def _timed(robot: Robot, paths: list[JointPath], limits: Limits, places: int) -> list[Trajectory]:

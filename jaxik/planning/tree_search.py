@@ -26,8 +26,7 @@ from jaxik.spmd.host import host_kernels
 from jaxik.spmd.packed import unpacked
 from jaxik.spmd.trace import TEAM_SIZE
 
-BLOCKS = 256  # of nodes that a tree has room for, as many a block as a team has lanes
-ROOM = BLOCKS * TEAM_SIZE
+BLOCKS, MOST = 64, 512  # of nodes that a tree has room for at first and at most, as many a block as a team has lanes
 SPARSE = 0.9  # of a step, from which on a node is not as good as another
 UNLIKE = 10  # times as many nodes as the other tree has, at which the smaller one, in the narrower place, grows alone
 SAMPLING, JOINING, ON = 0, 1, 2  # what the next turn does: a tree grows to a sample, the other to what is new, and on to it
@@ -36,10 +35,10 @@ SAMPLING, JOINING, ON = 0, 1, 2  # what the next turn does: a tree grows to a sa
 class Search(NamedTuple):
     """Two trees, the first from the start, the second from the goals, and what the next turn is about.
 
-    nodes (2, n, blocks, 16), parent (2, room): the number of each node's parent, -1 of a root; count (2,): how many there are.
-    tree: which one grows to samples now; target (n,): what the other one grows to, the node `newest` of the first; base: the
-    node from which it grows on. turn, drawn: the edges and samples so far. joined: whether the trees have met, `newest` of the
-    one and `base` of the other being the same place.
+    nodes (2, n, blocks, 16): their joints; parent (2, blocks * 16): the number of each one's parent, -1 of a root; count (2,):
+    how many there are. tree: which one grows to samples now; target (n,): what the other one grows to, the node `newest` of the
+    first; base: the node from which it grows on. turn, drawn: the edges and samples so far. joined: whether the trees have met,
+    `newest` of the one and `base` of the other being the same place.
     """
 
     nodes: Any
@@ -74,7 +73,7 @@ class Searches:
         self.offset, self.taken = np.zeros((count, n), np.uint32), np.zeros(count, int)
         self.draws = [np.random.default_rng(seed) for _ in range(count)]
         none = np.zeros(count, np.int32)
-        nodes = np.empty((count, 2, n, BLOCKS, TEAM_SIZE), np.float32), np.empty((count, 2, ROOM), np.int32)
+        nodes = np.empty((count, 2, n, BLOCKS, TEAM_SIZE), np.float32), np.empty((count, 2, BLOCKS * TEAM_SIZE), np.int32)
         first = none, none.copy(), np.zeros((count, n), np.float32), *(none.copy() for _ in range(4)), none > 0
         self.found = Search(*nodes, np.zeros((count, 2), np.int32), *first)
         for row in range(count):
@@ -84,16 +83,32 @@ class Searches:
         """Begins a search, or begins it anew with other samples."""
         found, roots = self.found, (self.starts[row : row + 1], self.goals[row])
         for tree, nodes in enumerate(roots):
-            found.nodes[row, tree].reshape(-1, ROOM)[:, : len(nodes)] = nodes.T
+            found.nodes[row, tree].reshape(nodes.shape[1], -1)[:, : len(nodes)] = nodes.T
             found.parent[row, tree, : len(nodes)] = -1
         for each in found[3:]:
             each[row] = 0
         found.count[row] = [len(nodes) for nodes in roots]
         self.offset[row] = self.draws[row].integers(0, 2**32, self.offset.shape[1], dtype=np.uint32)
 
+    @property
+    def full(self) -> np.ndarray:
+        """Whether a tree has no room left (b,), and gets none."""
+        return self.found.count.max(axis=1) >= MOST * TEAM_SIZE
+
+    def _more_room(self) -> None:
+        """Gives all trees eight times the room where one has none left."""
+        nodes, parent = self.found.nodes, self.found.parent
+        blocks = nodes.shape[3]
+        if blocks < MOST and self.found.count.max() >= blocks * TEAM_SIZE:
+            more = min(8 * blocks, MOST) - blocks
+            nodes = np.pad(nodes, ((0, 0), (0, 0), (0, 0), (0, more), (0, 0)))
+            parent = np.pad(parent, ((0, 0), (0, 0), (0, more * TEAM_SIZE)))
+            self.found = self.found._replace(nodes=nodes, parent=parent)
+
     def grow(self, rows: np.ndarray, turns: np.ndarray, step: float, cushion: np.ndarray) -> None:
         """Searches on in some rows for so many turns (b,), or fewer if the trees meet or have no room left, with a sample every
         `step` [m] that keeps a `cushion` (b,) [m] beyond the margin."""
+        self._more_room()
         space, whole = self.space, len(rows) == len(self.starts)
         of = (lambda x: x) if whole else (lambda x: x[rows])
         before = of(self.found.turn)
@@ -112,7 +127,7 @@ class Searches:
     def way(self, row: int) -> np.ndarray:
         """The waypoints (k, n) from the start to a goal, where the trees have met."""
         found = Search(*(x[row] for x in self.found))
-        grown, nodes = int(found.tree), found.nodes.reshape(2, -1, ROOM)
+        grown, nodes = int(found.tree), found.nodes.reshape(2, self.starts.shape[1], -1)
         ways: list[list[np.ndarray]] = [[], []]
         for tree, node in ((grown, int(found.newest)), (1 - grown, int(found.base))):
             while node >= 0:
@@ -151,7 +166,7 @@ def _searched(robot: Robot, search: Search, offset: Any, reach: Any, end: Any, w
     me = lax.axis_index(TEAM)
 
     def goes_on(s: Search) -> Any:
-        return (s.turn < end) & ~s.joined & (jnp.max(s.count) < ROOM)
+        return (s.turn < end) & ~s.joined & (jnp.max(s.count) < s.parent.shape[1])
 
     def turn(s: Search) -> Search:
         sampling = s.phase == SAMPLING
@@ -171,7 +186,7 @@ def _searched(robot: Robot, search: Search, offset: Any, reach: Any, end: Any, w
         grows, number = (hit > 0) & (~sampling | (beside() > SPARSE * reach.step)), s.count[own]
         s = lax.cond(grows, lambda s: _grown(s, own, new, base), lambda s: s, s)
         joined = ~sampling & free & arrives
-        phase = jnp.where(sampling & grows, JOINING, jnp.where(~sampling & free & ~arrives, ON, SAMPLING))
+        phase = jnp.where(sampling & grows, JOINING, jnp.where(~sampling & free & ~arrives, ON, SAMPLING)).astype(jnp.int32)
         alone = (s.drawn % 4 != 0) & (jnp.min(s.count) * UNLIKE < jnp.max(s.count))
         turns_to = jnp.where(alone, (s.count[1] < s.count[0]).astype(jnp.int32), 1 - s.tree)
         return s._replace(
@@ -228,7 +243,7 @@ def _nearest(nodes: Any, tree: Any, count: Any, x: Any, weights: Any) -> Any:
 
     begin = jnp.int32(0), jnp.asarray(jnp.inf, x.dtype), jnp.int32(0)
     _, least, at = lax.while_loop(lambda state: state[0] * TEAM_SIZE < count, look, begin)
-    return lax.pmin(jnp.where(least == lax.pmin(least, TEAM), at, ROOM), TEAM)
+    return lax.pmin(jnp.where(least == lax.pmin(least, TEAM), at, nodes.shape[2] * TEAM_SIZE), TEAM)
 
 
 def _node(nodes: Any, tree: Any, number: Any) -> Any:

@@ -18,7 +18,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.shortcuts import Places, chains
 from jaxik.planning.trajectory import JointPath
-from jaxik.planning.tree_search import ROOM, Searches
+from jaxik.planning.tree_search import Searches
 from jaxik.spmd.trace import TEAM_SIZE
 
 LOOKS = (0.05, 0.003), (0.025, 0.001), (0.0125, 0.0)  # steps of samples, and their cushion [m], one after another
@@ -28,6 +28,7 @@ BETTER = 0.98  # times as long as before, from which on it is not tried again
 SHARES = 0.5 ** np.arange(1.0, 6.0)  # of the shorter line at a corner, at which its bend begins and ends
 CHORDS = 8
 CALL = 128  # rounds of the search between two looks at the clock
+TOGETHER = 64  # problems whose trees fit in the caches
 PATIENCE, SPREADS = 1024, 1.1  # rounds in which a tree becomes so many times as large, or it counts as walled in
 
 
@@ -46,20 +47,37 @@ def proven_ways(
     seed: int,
     rounds: np.ndarray,
     seconds: float | None = None,
-    progress: Callable[[np.ndarray, int], Any] | None = None,
+    progress: Callable[[int, int], Any] | None = None,
 ) -> Found:
     """Waypoints (k, n) from each start (b, n) to one of its goals (g, n), straight lines between them proven free; none after
-    so many `rounds` (b,), or where the `seconds`, if told, are over. `progress` is called with the rounds of each and with how
-    many have ended. Each way is as it is alone."""
-    if not len(starts):
-        return Found([], np.zeros(0, int), np.zeros(0, int))
+    so many `rounds` (b,), or where the `seconds` that each has on average, if told, are over. `progress` is called with the
+    rounds of the first one and with how many have ended. Each way is as it is alone."""
+    found = Found([], np.zeros(0, int), np.zeros(0, int))
+    for first in range(0, len(starts), TOGETHER):
+        some = slice(first, first + TOGETHER)
+        tell = lambda taken, ended, first=first: progress and progress(taken, first + ended)
+        again = _proven_ways(space, starts[some], goals[some], seed, rounds[some], seconds, tell)
+        found = Found(found.ways + again.ways, *map(np.append, found[1:], again[1:]))
+    return found
+
+
+def _proven_ways(
+    space: CollisionChecker,
+    starts: np.ndarray,
+    goals: Sequence[np.ndarray],
+    seed: int,
+    rounds: np.ndarray,
+    seconds: float | None,
+    progress: Callable[[int, int], Any],
+) -> Found:
+    """`proven_ways` of a few problems, whose trees fit in the caches."""
     turns = np.broadcast_to(whole_turns(space.endless, starts), starts.shape)  # float32 has few digits left after many
     ends = [np.array([start, *goals]) - turn for start, goals, turn in zip(starts, goals, turns, strict=True)]
     ranges = [_search_range(space.robot, each[0]) for each in ends]
     lower = np.array([np.minimum(low, each.min(axis=0)) for (low, _), each in zip(ranges, ends, strict=True)])
     upper = np.array([np.maximum(high, each.max(axis=0)) for (_, high), each in zip(ranges, ends, strict=True)])
     searches = Searches(space, starts - turns, [each[1:] for each in ends], lower, upper, seed)
-    clock = Clock(seconds, progress, searches)
+    clock = Clock(None if seconds is None else seconds * len(starts), progress, searches)
     ways: list[np.ndarray | None] = [None] * len(starts)
     checked = np.zeros(len(starts), int)
     for (step, most), share in zip(LOOKS, ROUNDS, strict=True):
@@ -90,7 +108,7 @@ def proven_ways(
 class Clock:
     """The time that searches may take, and who is told how far they are."""
 
-    def __init__(self, seconds: float | None, progress: Callable[[np.ndarray, int], Any] | None, searches: Searches):
+    def __init__(self, seconds: float | None, progress: Callable[[int, int], Any], searches: Searches):
         self.end = math.inf if seconds is None else time.monotonic() + seconds
         self.progress, self.searches, self.ended = progress, searches, 0
 
@@ -100,20 +118,17 @@ class Clock:
 
     def tick(self) -> None:
         """Tells how far the searches are."""
-        if self.progress is not None:
-            self.progress(self.searches.taken, self.ended)
+        self.progress(int(self.searches.taken[0]), self.ended)
 
 
 def kept_at(space: CollisionChecker, ends: Sequence[np.ndarray], most: float) -> np.ndarray:
     """The cushion (b,) [m] that each search may keep from its ends (e, n): what these do not have would wall them in."""
-    tried = most * np.array([1.0, 0.5, 0.25])
-    rows, owner = np.concatenate(ends), np.repeat(np.arange(len(ends)), [len(each) for each in ends])
-    kept = np.zeros(len(ends))
-    for cushion in tried[::-1] if most else ():
-        hit = np.zeros(len(ends), bool)
-        np.logical_or.at(hit, owner, space.hits(rows, cushion))
-        kept = np.where(hit, kept, cushion)
-    return kept
+    if not most:
+        return np.zeros(len(ends))
+    tried = most * np.array([[0.25], [0.5], [1.0]])
+    rows, first = np.concatenate(ends), np.cumsum([0, *map(len, ends[:-1])])
+    hit = space.hits(np.tile(rows, (len(tried), 1)), np.repeat(tried, len(rows))).reshape(len(tried), -1)
+    return np.max(tried * ~np.logical_or.reduceat(hit, first, axis=1), axis=0)
 
 
 def _searched(searches: Searches, rows: np.ndarray, step: float, cushion: np.ndarray, limit: np.ndarray, clock: Clock) -> None:
@@ -127,7 +142,7 @@ def _searched(searches: Searches, rows: np.ndarray, step: float, cushion: np.nda
         judged = taken - looked >= PATIENCE
         walled = judged & (found.count < SPREADS * before).any(axis=1)
         looked, before = np.where(judged, taken, looked), np.where(judged[:, None], found.count, before)
-        ended = found.joined | walled | (found.count.max(axis=1) >= ROOM) | (taken >= limit)
+        ended = found.joined | walled | searches.full | (taken >= limit)
         rows = rows[~ended[rows]]
 
 
@@ -197,42 +212,58 @@ def _proven_chains(
     return [places[i].points[chain] if len(chain) else None for i, chain in enumerate(found)]
 
 
-def blended(space: CollisionChecker, waypoints: np.ndarray) -> JointPath:
-    """The lines between waypoints (k, n), each corner with the largest parabola of `SHARES` that is proven free, or as it is.
+def blended(space: CollisionChecker, ways: Sequence[np.ndarray]) -> list[JointPath]:
+    """The lines between the waypoints (k, n) of each way, each corner with the largest parabola of `SHARES` that is proven
+    free, or as it is.
 
     A parabola lies no further from `CHORDS` chords between its points than `|a - 2 c + b| / (4 CHORDS^2)` in each joint, of its
     corner c and its ends a, b; so a chord that keeps by so much more than the margin proves its part of it.
     """
-    steps = np.diff(waypoints, axis=0)
+    lines = [_lines(way) for way in ways]
+    corners = np.concatenate([way[1:-1] for way in ways])
+    before, after = (np.concatenate([along[part] for along, _ in lines]) for part in (slice(None, -1), slice(1, None)))
+    shorter = np.concatenate([np.minimum(lengths[:-1], lengths[1:]) for _, lengths in lines])
+    bends, left = np.zeros(len(corners)), np.arange(len(corners))
+    for share in SHARES if len(corners) else ():
+        tried = share * shorter[left]
+        free = _proven_bends(space, corners[left], before[left], after[left], tried)
+        bends[left[free]] = tried[free]
+        left = left[~free]
+        if not len(left):
+            break
+    each = np.split(bends, np.cumsum([len(way) - 2 for way in ways])[:-1])
+    return [_bent(way, *line, bend) for way, line, bend in zip(ways, lines, each, strict=True)]
+
+
+def _lines(way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The directions (k-1, n) and lengths (k-1,) of the lines between waypoints."""
+    steps = np.diff(way, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
-    along = steps / lengths[:, None]
-    shares = np.zeros(len(waypoints))
-    shares[1:-1] = _shares(space, waypoints, along, np.minimum(lengths[:-1], lengths[1:]))
-    none = np.zeros(waypoints.shape[1])
+    return steps / lengths[:, None], lengths
+
+
+def _proven_bends(
+    space: CollisionChecker, corner: np.ndarray, before: np.ndarray, after: np.ndarray, share: np.ndarray
+) -> np.ndarray:
+    """Whether the parabola at each corner (c, n) is proven free that begins so far (c,) before it and ends so far after it."""
+    begin, end = corner - share[:, None] * before, corner + share[:, None] * after
+    x = np.linspace(0.0, 1.0, CHORDS + 1)[:, None, None]
+    points = (1.0 - x) ** 2 * begin + 2.0 * x * (1.0 - x) * corner + x**2 * end
+    away = np.abs(begin - 2.0 * corner + end) @ space.weights / (4.0 * CHORDS**2)
+    rows = lambda each: each.reshape(-1, corner.shape[1])
+    return np.all(space.proven(rows(points[:-1]), rows(points[1:]), np.tile(away, CHORDS)).reshape(CHORDS, -1), axis=0)
+
+
+def _bent(way: np.ndarray, along: np.ndarray, lengths: np.ndarray, bends: np.ndarray) -> JointPath:
+    """The path along the lines of a way, with a parabola at each inner waypoint that begins and ends so far (k-2,) from it."""
+    shares, none = np.concatenate([[0.0], bends, [0.0]]), np.zeros(way.shape[1])
     pieces, coefficients = [], []
-    for i, share in enumerate(shares):
+    for i, share in enumerate(shares.tolist()):
         if share:
             bend = (along[i] - along[i - 1]) / (4.0 * share)
             pieces.append(2.0 * share)
-            coefficients.append([none, bend, along[i - 1], waypoints[i] - share * along[i - 1]])
+            coefficients.append([none, bend, along[i - 1], way[i] - share * along[i - 1]])
         if i < len(along):
             pieces.append(max(0.0, lengths[i] - share - shares[i + 1]))
-            coefficients.append([none, none, along[i], waypoints[i] + share * along[i]])
+            coefficients.append([none, none, along[i], way[i] + share * along[i]])
     return JointPath(np.array(pieces), np.array(coefficients))
-
-
-def _shares(space: CollisionChecker, waypoints: np.ndarray, along: np.ndarray, shorter: np.ndarray) -> np.ndarray:
-    """The distance from each inner waypoint at which its bend begins (k-2,); 0 where the corner stays."""
-    if not len(shorter):
-        return shorter
-    tried = SHARES * shorter[:, None]  # (corners, shares)
-    corner, before, after = (x[:, None] for x in (waypoints[1:-1], along[:-1], along[1:]))
-    begin, end = corner - tried[..., None] * before, corner + tried[..., None] * after
-    x = np.linspace(0.0, 1.0, CHORDS + 1)[:, None, None, None]
-    points = (1.0 - x) ** 2 * begin + 2.0 * x * (1.0 - x) * corner + x**2 * end
-    away = np.sum(np.abs(begin - 2.0 * corner + end) * space.weights, axis=-1) / (4.0 * CHORDS**2)
-    rows = lambda each: each.reshape(-1, waypoints.shape[1])
-    extra = np.broadcast_to(away, points[1:].shape[:-1]).ravel()
-    proven = np.all(space.proven(rows(points[:-1]), rows(points[1:]), extra).reshape(CHORDS, *tried.shape), axis=0)
-    largest = np.argmax(proven, axis=1)
-    return np.where(proven.any(axis=1), np.take_along_axis(tried, largest[:, None], axis=1)[:, 0], 0.0)
