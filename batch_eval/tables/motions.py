@@ -73,6 +73,7 @@ def statistics_markdown(result: dict[str, Any]) -> str:
 def planning_markdown(result: dict[str, Any]) -> str:
     """MotionBenchMaker's problems, and paths that are timed."""
     problems, timing = result["problems"], result["timing"]
+    seeds, many = problems["seeds"], problems["many"]
     rows = [
         ("solved", f"{problems['solved']} of {problems['problems']}"),
         ("of these free by coal, every millimetre", f"{problems['free']}"),
@@ -81,6 +82,11 @@ def planning_markdown(result: dict[str, Any]) -> str:
         (
             "one call, warm: median, 95 %, slowest",
             ", ".join(f"{problems[k]:.0f} ms" for k in ("p50_ms", "p95_ms", "slowest_ms")),
+        ),
+        ("every tenth one with five seeds", f"{seeds['solved']:,} of {seeds['asked']:,} solved"),
+        (
+            f"{many['motions']:,} random motions in one scene, {many['straight']:,} of them straight",
+            f"{many['solved']:,} solved; {many['ms_each']:.2f} ms each in one call, {many['alone_ms_each']:.1f} ms alone",
         ),
         ("a process' first call, its slowest later one", first_calls(problems["fresh"]["compiling"])),
         ("the same, with the kernels on disk", first_calls(problems["fresh"]["kernels_on_disk"])),

@@ -161,13 +161,16 @@ def test_a_teams_table_is_one_for_all_lanes():
     alike(team(lane), RNG.normal(size=(9, 3)).astype(np.float32), 40 * np.arange(9), rtol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("turn", "said"),
-    [
-        (lambda t: t.at[1].set(2.0).at[2].set(3.0) + 0.0 * t.at[5].set(1.0), "read as it was before"),
-        (lambda t: jnp.where(t[0] > 0, t, -t), "hands back another array"),
-    ],
-)
-def test_what_is_not_in_place_is_refused(turn, said):
-    walked = lambda n: lax.fori_loop(0, n, lambda i, t: turn(t), jnp.ones(300))
-    assert said in spmd.describe(walked, 3).refused
+def test_what_is_read_as_it_was_is_refused():
+    def walked(n):
+        turn = lambda i, state: (state[0].at[i].set(2.0), state[1] + state[0][7])
+        late = lambda i, state: turn(i, (state[0], state[1] + state[0].at[i + 1].set(3.0)[i + 1]))
+        return lax.fori_loop(0, n, late, (jnp.ones(300), 0.0))
+
+    assert "read as it was before" in spmd.describe(walked, 3).refused
+
+
+def test_an_array_that_is_made_anew_each_turn_flows():
+    """Of more than 256 numbers, but not written in place: as before, each number is a value."""
+    walked = lambda x, n: lax.fori_loop(0, n, lambda i, t: jnp.where(t[0] > 1.0, 0.5 * t, t[::-1] + x), jnp.ones(300))
+    alike(walked, np.linspace(0.0, 1.0, 9, dtype=np.float32), np.arange(9))

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from jax.extend.core import Jaxpr
+from jax.extend.core import Jaxpr, Literal
 
 from jaxik.spmd.scalarise import (
     FLAT,
@@ -113,6 +113,29 @@ class _Sides:
         return [as_now(kept[i]) if i in kept else next(others) for i in range(len(self.outputs))]
 
 
+def written_in_place(jaxpr: Jaxpr, v: Any) -> int | None:
+    """The number of the argument that a result is, but for what is written to it; None where it is another array."""
+    made = {out: (eqn, k) for eqn in jaxpr.eqns for k, out in enumerate(eqn.outvars)}
+    while not isinstance(v, Literal) and v in made:
+        eqn, k = made[v]
+        name, params = eqn.primitive.name, eqn.params
+        if name == "dynamic_update_slice" or name.startswith("scatter"):
+            v = eqn.invars[0]
+            continue
+        inner, before = [body for body, *_ in bodies(eqn)], {"cond": 1}.get(name, 0)
+        if name == "while":
+            inner, before = inner[:1], params["cond_nconsts"]
+        if name == "scan" and k >= params["num_carry"]:
+            return None
+        sources = {written_in_place(body, body.outvars[k]) for body in inner}
+        source = sources.pop() if len(sources) == 1 else None
+        if source is None:
+            return None
+        v = eqn.invars[before + source]
+    places = [i for i, each in enumerate(jaxpr.invars) if each is v]
+    return places[0] if places else None
+
+
 class _Carried:
     """The values that a loop carries: arrays that change, flat; those that its body hands back as they are stay outside."""
 
@@ -122,7 +145,7 @@ class _Carried:
         self.init = list(init)
         self.kept: dict[int, Array] = {}
         for i, x in enumerate(init):
-            if self.changes[i] and x.at.size > KEPT:
+            if x.at.size > KEPT and written_in_place(body, body.outvars[i]) == first_in + i and self.changes[i]:
                 taken = any(x.memory == other.memory for other in self.kept.values())
                 self.kept[i] = s.put(s.program.room(x.type, x.at.size), x) if taken else s.keep(x)
         self.flows = [c and i not in self.kept for i, c in enumerate(self.changes)]
