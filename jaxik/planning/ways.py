@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxik.kinematics.joint_turns import whole_turns
 from jaxik.kinematics.robot import Robot
-from jaxik.planning.collision_checker import CollisionChecker
+from jaxik.planning.collision_checker import CLOSE, CollisionChecker
 from jaxik.planning.shortcuts import Places, chains
 from jaxik.planning.trajectory import JointPath
 from jaxik.planning.tree_search import Searches
@@ -28,6 +28,7 @@ BETTER = 0.98  # times as long as before, from which on it is not tried again
 SHARES = 0.5 ** np.arange(1.0, 6.0)  # of the shorter line at a corner, at which its bend begins and ends
 CHORDS = 8
 CALL = 128  # rounds of the search between two looks at the clock
+TRIES = 8  # searches whose way could not be proven, before one looks closer
 TOGETHER = 64  # problems whose trees fit in the caches
 PATIENCE, SPREADS = 1024, 1.1  # rounds in which a tree becomes so many times as large, or it counts as walled in
 
@@ -73,6 +74,7 @@ def _proven_ways(
     """`proven_ways` of a few problems, whose trees fit in the caches."""
     turns = np.broadcast_to(whole_turns(space.endless, starts), starts.shape)  # float32 has few digits left after many
     ends = [np.array([start, *goals]) - turn for start, goals, turn in zip(starts, goals, turns, strict=True)]
+    ends, hopeless = _provable(space, ends)
     ranges = [_search_range(space.robot, each[0]) for each in ends]
     lower = np.array([np.minimum(low, each.min(axis=0)) for (low, _), each in zip(ranges, ends, strict=True)])
     upper = np.array([np.maximum(high, each.max(axis=0)) for (_, high), each in zip(ranges, ends, strict=True)])
@@ -81,12 +83,15 @@ def _proven_ways(
     ways: list[np.ndarray | None] = [None] * len(starts)
     checked = np.zeros(len(starts), int)
     for (step, most), share in zip(LOOKS, ROUNDS, strict=True):
-        left, limit = np.array([i for i, way in enumerate(ways) if way is None], int), np.ceil(share * rounds).astype(int)
+        left = np.array([i for i, way in enumerate(ways) if way is None and not hopeless[i]], int)
+        limit = np.ceil(share * rounds).astype(int)
         if not len(left):
             break
         cushion = np.zeros(len(starts))
         cushion[left] = kept_at(space, [ends[i] for i in left], most)
-        while len(left) and not clock.over:
+        for _ in range(TRIES):
+            if not len(left) or clock.over:
+                break
             _searched(searches, left, step, cushion, limit, clock)
             left = left[searches.found.joined[left]]  # the others look closer
             if not len(left):
@@ -103,6 +108,16 @@ def _proven_ways(
                 clock.ended += 1
             left = np.array([i for i in left if ways[i] is None and searches.taken[i] < limit[i]], int)
     return Found(ways, searches.taken, checked + TEAM_SIZE * searches.taken)
+
+
+def _provable(space: CollisionChecker, ends: Sequence[np.ndarray]) -> tuple[list[np.ndarray], np.ndarray]:
+    """The start and the goals (e, n) of each problem without those goals to which no line can be proven, since they all but
+    touch; and whether there is none left, or the start does (b,)."""
+    first = np.cumsum([0, *map(len, ends)])
+    touching = np.split(space.hits(np.concatenate(ends), CLOSE), first[1:-1])
+    hopeless = np.array([touches[0] or touches[1:].all() for touches in touching])
+    kept = [np.r_[False, touches[1:]] & ~lost for touches, lost in zip(touching, hopeless, strict=True)]
+    return [each[~without] for each, without in zip(ends, kept, strict=True)], hopeless
 
 
 class Clock:
