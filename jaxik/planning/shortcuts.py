@@ -22,6 +22,7 @@ from jaxik.spmd import TEAM, team
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 from jaxik.spmd.packed import unpacked
+from jaxik.spmd.scalarise import KEPT
 from jaxik.spmd.trace import TEAM_SIZE
 
 BLOCKS = 8
@@ -114,7 +115,7 @@ def shortest(
         first = first._replace(places=search.distances(first.places, lines, jnp.int32(1)))
         chain = lax.while_loop(lambda c: ~c.done, search.turn, first)
         length = search.distance(chain.places, count - 1)
-        before = lax.empty((PLACES + TEAM_SIZE * TEAM_SIZE,), jnp.int32)
+        before = jnp.zeros(PLACES + KEPT, jnp.int32)  # so many that it is written in place
 
         def step(state: Any) -> Any:
             k, before = state

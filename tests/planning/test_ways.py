@@ -83,6 +83,17 @@ def test_the_search_is_that_of_plain_xla(arm):
         np.testing.assert_allclose(*nodes, atol=1e-4)
 
 
+def test_the_shortest_chain_is_a_program_of_xla_too(arm):
+    """Traced alone: what XLA compiles in half a minute."""
+    robot, _ = arm
+    space, blocks = CollisionChecker(robot, POLES, 0.0), (shortcuts.BLOCKS, 16)
+    rows = np.zeros((2, 3, *blocks), np.float32), np.full(2, 5, np.int32), np.zeros((2, 128, *blocks), np.int8)
+    given = *rows, np.full((2, 2), 0.05, np.float32), np.ones(3, np.float32), space.obstacles, space.carried
+    with jax.enable_x64(False):
+        before, lines, length, looked = jax.eval_shape(shortcuts.shortest(robot).by_xla, *given)
+    assert before.shape[0] == 2 and lines.shape == (2, 128, *blocks) and length.shape == looked.shape == (2,)
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_out_of_a_narrow_place(arm, seed):
     """Between two walls, 44 mm apart of a finger of 40: every other direction hits at once."""
