@@ -16,7 +16,7 @@ START, GOAL = np.array([-0.6, 0.2, 0.1]), np.array([0.9, -0.3, 0.2])
 
 
 def test_the_chain_is_the_shortest_of_all_lines_that_are_free(arm):
-    """By Dijkstra's search over every line that its samples, looked at one by one, do not hit."""
+    """Dijkstra's search finds the same over every line that its samples, looked at one by one, do not hit."""
     robot, _ = arm
     space = CollisionChecker(robot, POLES, 0.0)
     rng, step = np.random.default_rng(0), 0.05
