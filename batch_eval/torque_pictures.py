@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
-from setups.torque_logs import CREEP, ELBOW, JUDGED, MEASUREMENTS, WIDTH, friction_band, logs, model
+from setups.torque_logs import CREEP, ELBOW, JUDGED, MEASUREMENTS, WIDTH, friction_band, log, model
 
 from jaxik.dynamics import inverse_dynamics, motor_current
 from jaxik.estimation import Played, TorqueEstimator, estimate
@@ -20,12 +20,12 @@ def draw(file: Path, result: dict[str, Any], name: str, estimator: TorqueEstimat
     """All of them; the errors of T_ext are those of the estimator of that `name`."""
     figure, axes = plt.subplots(2, 4, figsize=(19, 8), layout="constrained")
     nominal, rmse = np.array(result["nominal_torque"]), result["rmse"]
-    _currents(axes[0, 0], 6, "fig. 3.11 in kind: joint 6, nothing touches")
+    currents(axes[0, 0], 6, "fig. 3.11 in kind: joint 6, nothing touches")
     _bars(axes[0, 1], rmse["inverse dynamics"], nominal, "fig. 3.12 in kind: error of inverse dynamics", gauged=False)
     _covariances(axes[0, 2], result["sweep"])
     _levers(axes[0, 3], result["detection"]["rows"])
     for ax, (joint, measurement) in zip(axes[1, :3], ((2, 6), (3, 7), (6, 6)), strict=True):
-        _external(ax, estimator, joint, measurement)
+        external(ax, estimator, joint, measurement)
     _bars(axes[1, 3], rmse[name], nominal, "fig. 3.19 in kind: error of T_ext", gauged=True)
     of_model = 100 * np.nanmean(rmse["inverse dynamics"], axis=0) / nominal
     axes[1, 3].plot(JOINTS, of_model, "k_", markersize=16, label="inverse dynamics alone")
@@ -39,16 +39,16 @@ def draw_joints(file: Path, estimator: TorqueEstimator) -> None:
     figure, axes = plt.subplots(2, 5, figsize=(24, 8.5), layout="constrained")
     for ax, joint in zip(axes[:, :4].flat, range(2, 10), strict=True):
         number = 2 + np.searchsorted([4, 7], joint, side="right")
-        _currents(ax, joint, f"fig. B.{number} in kind: joint {joint}")
+        currents(ax, joint, f"fig. B.{number} in kind: joint {joint}")
     for ax, joint, measurement in zip(axes[:, 4], (4, 5), (7, 7), strict=True):
-        _external(ax, estimator, joint, measurement, "fig. B.5 in kind")
+        external(ax, estimator, joint, measurement, "fig. B.5 in kind")
     figure.savefig(file, dpi=70)
 
 
-def _currents(ax: Any, joint: int, title: str) -> None:
+def currents(ax: Any, joint: int, title: str) -> None:
     """A joint's motor current beside what the model foretells, as torques, where nothing touches."""
-    log = logs(JUDGED[0], False)[0 if joint != 3 else 1]
-    asked, joint = log.asked, joint - 1
+    seen = log(JUDGED[0], False, 0 if joint != 3 else 1)
+    asked, joint = seen.asked, joint - 1
     drive = model().drives[joint]
     inside = jax.jit(jax.vmap(lambda *x: motor_current(model(), inverse_dynamics(model(), *x), x[1], width=WIDTH)))
     gain = float(drive.torque_per_current)
@@ -56,18 +56,18 @@ def _currents(ax: Any, joint: int, title: str) -> None:
     measured = gain * asked.current[:, joint]
     ax.plot(asked.time, measured, "0.3", linewidth=0.6, label="motor current")
     ax.plot(asked.time, told, label="model")
-    _shade(ax, log, joint, 0.0)
+    _shade(ax, seen, joint, 0.0)
     low, high = np.percentile(np.r_[told, measured, 0.0], [0.2, 99.8])  # without the spikes where a joint breaks away
     room = 0.15 * (high - low)
     ax.set(title=title, ylabel="torque [Nm]", xlabel="time [s]", ylim=(low - room, high + 2.0 * room))
-    _rate(ax, log, joint)
+    _rate(ax, seen, joint)
     ax.legend(fontsize=8, ncol=2, loc="upper left")
 
 
-def _rate(ax: Any, log: Played, joint: int) -> None:
+def _rate(ax: Any, seen: Played, joint: int) -> None:
     """The rate asked of a joint, from 0, on an axis of its own."""
     rate = ax.twinx()
-    rate.plot(log.asked.time, log.asked.velocity[:, joint], color="tab:green", linewidth=0.8)
+    rate.plot(seen.asked.time, seen.asked.velocity[:, joint], color="tab:green", linewidth=0.8)
     rate.set_ylabel("rate asked for [rad/s]", color="tab:green")
 
 
@@ -106,20 +106,20 @@ def _levers(ax: Any, rows: list[dict[str, Any]]) -> None:
     ax.legend(fontsize=8, loc="upper left")
 
 
-def _external(ax: Any, estimator: TorqueEstimator, joint: int, measurement: int, figure: str = "fig. 3.18 in kind") -> None:
+def external(ax: Any, estimator: TorqueEstimator, joint: int, measurement: int, figure: str = "fig. 3.18 in kind") -> None:
     """The torque that the gauge exerts, the estimate of it, and how fast the joint was to move."""
-    log, way = logs(JUDGED[0], True)[measurement], "vertical" if measurement % 2 else "horizontal"
-    ax.plot(log.asked.time, log.asked.external[:, joint - 1], "k", label="gauge")
-    ax.plot(log.asked.time, estimate(estimator, log.asked)[:, joint - 1], color="tab:blue", label="estimate")
-    _shade(ax, log, joint - 1, log.asked.external[:, joint - 1])
+    seen, way = log(JUDGED[0], True, measurement), "vertical" if measurement % 2 else "horizontal"
+    ax.plot(seen.asked.time, seen.asked.external[:, joint - 1], "k", label="gauge")
+    ax.plot(seen.asked.time, estimate(estimator, seen.asked)[:, joint - 1], color="tab:blue", label="estimate")
+    _shade(ax, seen, joint - 1, seen.asked.external[:, joint - 1])
     ax.set(title=f"{figure}: joint {joint}, {way}", ylabel="external torque [Nm]", xlabel="time [s]")
-    _rate(ax, log, joint - 1)
+    _rate(ax, seen, joint - 1)
     ax.margins(y=0.15)
     ax.legend(fontsize=8, loc="upper center" if joint != 3 else "lower right")
 
 
-def _shade(ax: Any, log: Played, joint: int, around: Any) -> None:
+def _shade(ax: Any, seen: Played, joint: int, around: Any) -> None:
     """Grey where the joint, from 0, is near zero velocity; darker, `around` a torque [Nm], the friction's band there."""
-    slow, band = np.abs(log.asked.velocity[:, joint]) < CREEP, friction_band(np.array(ELBOW))[joint]
-    ax.fill_between(log.asked.time, 0, 1, where=slow, color="0.92", transform=ax.get_xaxis_transform(), linewidth=0)
-    ax.fill_between(log.asked.time, around - band, around + band, where=slow, color="0.75", linewidth=0)
+    slow, band = np.abs(seen.asked.velocity[:, joint]) < CREEP, friction_band(np.array(ELBOW))[joint]
+    ax.fill_between(seen.asked.time, 0, 1, where=slow, color="0.92", transform=ax.get_xaxis_transform(), linewidth=0)
+    ax.fill_between(seen.asked.time, around - band, around + band, where=slow, color="0.75", linewidth=0)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 import time
 import warnings
 from collections.abc import Callable
@@ -149,6 +150,18 @@ def _clearances() -> tuple[Any, Any]:
 
     robot = arm()
     return robot, jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, None, q)))
+
+
+def courses() -> dict[str, Any]:
+    """The courses that the thesis draws, a sample every 40 ms: the wall's force, what the sensor shows of it after the low
+    pass, and the root of the pseudo-energy."""
+    found: dict[str, Any] = {"dt_s": 2 * EVERY * DT}
+    for scene, name in dict.fromkeys((scene, name) for scene, names in list(FIGURES.values())[:3] for name in names):
+        of = jax.tree_util.tree_map(lambda x: x[::2], of_scene(name, scene))
+        speed = np.linalg.norm(of.motion.velocity, axis=1)
+        rows = {"force_n": of.force, "felt_n": of.felt, "speed_per_s": speed}
+        found.setdefault(scene, {})[name] = {key: x.round(3).tolist() for key, x in rows.items()}
+    return found
 
 
 def apart(q: np.ndarray) -> float:
@@ -324,6 +337,7 @@ def study(quick: bool = False, tell: Callable[[int, int], Any] | None = None) ->
         "begin": start().round(4).tolist(),
         "wall": {"point": POINT.tolist(), "normal": np.asarray(wall().normal).tolist(), "stiffness": STIFFNESS},
         "experiments": experiments(told),
+        "courses": courses(),
         "random": random_contacts(told),
         "search": search(SEARCHED),
     }
@@ -337,7 +351,8 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     result = {"machine": machine()} | study(tell=counted)
     draw(out.with_suffix(".png"))
-    out.write_text(json.dumps(result, indent=1) + "\n")
+    text = re.sub(r"\[[-+.e,\s\d]+\]", lambda found: " ".join(found.group().split()), json.dumps(result, indent=1))
+    out.write_text(text + "\n")
 
 
 if __name__ == "__main__":

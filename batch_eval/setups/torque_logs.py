@@ -79,16 +79,19 @@ def gauge(direction: tuple[float, float, float], stiffness: float) -> Push:
 
 
 @functools.cache
+def log(arm: int, pushed: bool, number: int) -> Played:
+    """One of the four measurements, twice its number along a horizontal line and one more along a vertical one; with the
+    gauge, or free."""
+    seed, direction = number // 2, ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0))[number % 2]
+    speed, stiffness = MEASUREMENTS[seed]
+    pushes = [gauge(direction, stiffness)] if pushed else []
+    how = {"model": model(), "options": SENSORS, "rest": (0.4, 0.4), "seed": 10 * arm + seed}
+    return play(arms()[arm], there_and_back(direction, speed), pushes=pushes, **how)
+
+
 def logs(arm: int, pushed: bool) -> list[Played]:
-    """The logs of the four measurements, along a horizontal line and along a vertical one; with the gauge, or free."""
-    found = []
-    for seed, (speed, stiffness) in enumerate(MEASUREMENTS):
-        for direction in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)):
-            pushes = [gauge(direction, stiffness)] if pushed else []
-            motions = there_and_back(direction, speed)
-            how = {"model": model(), "options": SENSORS, "rest": (0.4, 0.4), "seed": 10 * arm + seed}
-            found.append(play(arms()[arm], motions, pushes=pushes, **how))
-    return found
+    """The logs of all measurements in both directions."""
+    return [log(arm, pushed, number) for number in range(2 * len(MEASUREMENTS))]
 
 
 def friction_band(q: np.ndarray) -> np.ndarray:
