@@ -150,7 +150,9 @@ def simulate_reaction(
         raise ValueError(f"simulate_reaction: {len(met)} encounters; the reaction is one to {reaction.contacts} contacts")
     q = as_configuration(reaction.robot, q)
     shaking = jnp.zeros(steps, q.dtype) if noise is None else as_numbers("simulate_reaction: noise", noise, (steps,))
-    return _simulation(reaction, sensor)(q, path, jnp.asarray(duration, q.dtype), met, shaking)
+    found = _simulation(reaction, sensor)(q, path, jnp.asarray(duration, q.dtype), met, shaking)
+    time = reaction.dt * jnp.arange(steps, dtype=q.dtype)  # in the kernel each would be an operation of its own
+    return dataclasses.replace(found, motion=dataclasses.replace(found.motion, time=time))
 
 
 @functools.lru_cache(maxsize=32)
@@ -173,9 +175,7 @@ def _simulation(reaction: Reaction, sensor: TouchSensor | None) -> Any:
     def run(q: Any, path: Path, duration: Any, met: tuple[Encounter, ...], noise: Any) -> ReactionResult:
         shown = () if sensor is None else sensor.init(reaction.contacts, q.dtype)
         start = (q, jnp.zeros_like(q), jnp.zeros((), q.dtype), reaction.init(q), shown)
-        found = jax.lax.scan(functools.partial(turn, path, duration, met), start, noise)[1]
-        time = dt * jnp.arange(len(noise), dtype=q.dtype)
-        return dataclasses.replace(found, motion=dataclasses.replace(found.motion, time=time))
+        return jax.lax.scan(functools.partial(turn, path, duration, met), start, noise)[1]
 
     return run
 

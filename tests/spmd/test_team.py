@@ -171,6 +171,6 @@ def test_what_is_read_as_it_was_is_refused():
 
 
 def test_an_array_that_is_made_anew_each_turn_flows():
-    """It has more than 256 numbers, but is not written in place: as before, each number is a value."""
+    """Each number is a value, as before, where more than 256 of them are not written in place."""
     walked = lambda x, n: lax.fori_loop(0, n, lambda i, t: jnp.where(t[0] > 1.0, 0.5 * t, t[::-1] + x), jnp.ones(300))
     alike(walked, np.linspace(0.0, 1.0, 9, dtype=np.float32), np.arange(9))
