@@ -61,6 +61,9 @@ class Places:
         counts = np.maximum(1, np.ceil(lengths / apart)).astype(int)
         if counts.sum() >= PLACES:
             counts = np.ones(len(lengths), int)
+        if len(way) > PLACES:
+            some = np.linspace(0, len(way) - 1, PLACES).round().astype(int)
+            return cls(way[some], np.zeros((PLACES, PLACES), np.int8))
         first = np.concatenate([[0], np.cumsum(counts)])
         line = np.repeat(np.arange(len(counts)), counts)
         share = (np.arange(first[-1]) - first[line]) / counts[line]

@@ -193,8 +193,8 @@ def shortened(
             places[i] = Places.on(ways[i], lengths[i], max(lengths[i].sum() / POINTS, step))
         chained(left)
         for i in left:
-            ways[i] = places[i].points[found[i]]
-        left = [i for i in left if space.length(np.diff(ways[i], axis=0)).sum() <= BETTER * lengths[i].sum()]
+            ways[i] = places[i].points[found[i]] if len(found[i]) else ways[i]
+        left = [i for i in left if len(found[i]) and space.length(np.diff(ways[i], axis=0)).sum() <= BETTER * lengths[i].sum()]
         if not left:
             break
     return _proven_chains(space, places, found, chained), looked

@@ -98,6 +98,7 @@ class Scalariser:
         self.tangents: Set[Any] | None = frozenset()  # None: what is not known yet is of tangents
         # what is copied to memory, and the block whose lanes have written it: another block may not have run
         self.spilled: dict[int, tuple[Array, Array, Block]] = {}
+        self.in_team = False
         self.kept: dict[int, int] = {}  # scratch that is written in place, and the value after which it is as it is now
 
     def run(self, jaxpr: Jaxpr, consts: Sequence[Array], args: Sequence[Array]) -> list[Array]:

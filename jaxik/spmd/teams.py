@@ -70,7 +70,7 @@ team_p.def_impl(jax.jit(_by_xla, static_argnames="jaxpr"))
 mlir.register_lowering(team_p, mlir.lower_fun(_by_xla, multiple_results=True))
 batching.primitive_batchers[team_p] = _batched
 ad.primitive_jvps[team_p] = lambda primals, tangents, *, jaxpr: jax.jvp(
-    functools.partial(_by_xla, jaxpr=jaxpr), primals, [ad.instantiate_zeros(t) for t in tangents]
+    functools.partial(_by_xla, jaxpr=jaxpr), tuple(primals), tuple(ad.instantiate_zeros(t) for t in tangents)
 )
 
 
@@ -80,8 +80,12 @@ ad.primitive_jvps[team_p] = lambda primals, tangents, *, jaxpr: jax.jvp(
 
 @rule("spmd_team")
 def _team(s: Scalariser, eqn: Any, *xs: Array) -> list[Array]:
-    s.program.team = True
-    return s.closed(eqn.params["jaxpr"], xs)
+    if s.in_team:
+        raise Unsupported("a team inside a team")
+    s.program.team = s.in_team = True
+    found = s.closed(eqn.params["jaxpr"], xs)
+    s.in_team = False
+    return found
 
 
 @rule("axis_index")

@@ -174,3 +174,28 @@ def test_an_array_that_is_made_anew_each_turn_flows():
     """Each number is a value, as before, where more than 256 of them are not written in place."""
     walked = lambda x, n: lax.fori_loop(0, n, lambda i, t: jnp.where(t[0] > 1.0, 0.5 * t, t[::-1] + x), jnp.ones(300))
     alike(walked, np.linspace(0.0, 1.0, 9, dtype=np.float32), np.arange(9))
+
+
+def test_a_table_that_a_loop_does_not_carry_is_not_written_to():
+    """A turn that writes to it, or a test that does, would change what the next one finds."""
+
+    def whatif(n):
+        table = lax.fori_loop(0, n, lambda i, t: t.at[i].set(1.0 * i), jnp.ones(300))
+        return lax.fori_loop(0, 20, lambda j, total: total + table.at[j].set(5.0)[(j * 7) % 20], 0.0)
+
+    def tested(n):
+        goes_on = lambda state: (state[0] < n) & (state[1].at[state[0] + 7].set(5.0)[3] < 1e6)
+        return lax.while_loop(goes_on, lambda state: (state[0] + 1, state[1].at[state[0]].add(2.0)), (0, jnp.ones(300)))[1]
+
+    assert all("that it does not carry" in spmd.describe(each, 3).refused for each in (whatif, tested))
+
+
+def test_a_team_inside_a_team_goes_to_xla():
+    inner = team(lambda y: lax.psum(y * lax.axis_index(TEAM), TEAM))
+    outer = team(lambda x: lax.pmax(inner(x * lax.axis_index(TEAM)), TEAM))
+    assert spmd.describe(outer, 1.0).refused == "a team inside a team" and float(outer(1.0)) == 1800.0
+
+
+def test_a_team_has_derivatives():
+    slope = jax.grad(team(lambda x: lax.psum(jnp.sin(x * lax.axis_index(TEAM)), TEAM)))(1.0)
+    assert_allclose(slope, np.sum(np.arange(16) * np.cos(np.arange(16))), rtol=1e-5)

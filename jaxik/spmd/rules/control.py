@@ -158,12 +158,21 @@ class _Carried:
     def arrays(self, s: Scalariser, flat: Sequence[int]) -> list[Array]:
         flowing = iter(unflattened(flat, self.shapes, self.kinds))
         seen = {i: s.seen(x) for i, x in self.kept.items()}
+        self.before = dict(s.kept)
         return [
             seen[i] if i in seen else next(flowing) if f else x
             for i, (x, f) in enumerate(zip(self.init, self.flows, strict=True))
         ]
 
+    def check(self, s: Scalariser, but: Sequence[int]) -> None:
+        """Raises `Unsupported` where a turn has written to memory, `but` that of carried arrays: the next would find it
+        so, and not as it was before the loop."""
+        own = {x.memory.number for i, x in self.kept.items() if i in but and x.memory is not None}
+        if any(s.kept[k] != after for k, after in self.before.items() if k not in own):
+            raise Unsupported("a loop that writes to an array that it does not carry, or in its test")
+
     def flattened(self, s: Scalariser, arrays: Sequence[Array]) -> list[int]:
+        self.check(s, but=tuple(self.kept))
         found = [v for x, f in zip(arrays, self.flows, strict=True) if f for v in s.values(x).ravel().tolist()]
         for i, x in self.kept.items():
             if not (s.whole(arrays[i]) and arrays[i].memory == x.memory):
@@ -188,7 +197,9 @@ def _while(s: Scalariser, eqn: Any, *args: Array) -> list[Array]:
         return s.closed(p["cond_jaxpr"], [*test_consts, *carried.arrays(s, flat)])[0]
 
     def again(flat: list[int]) -> int:
-        return s.fold("or", "i1", s.values(test(flat)).ravel().tolist())
+        goes_on = s.values(test(flat)).ravel().tolist()
+        carried.check(s, but=())
+        return s.fold("or", "i1", goes_on)
 
     def body(flat: list[int]) -> list[int]:
         goes_on = test(flat)
