@@ -39,10 +39,7 @@ class CollisionChecker:
         self.robot, self.carried = _apart(robot)
         self.margin, self.cushion = np.float32(margin), np.float32(cushion)
         self.obstacles, self.size = _surroundings(scene, robot)
-        self.model = None
-        if robot.surfaces:
-            model = by_volumes(self.robot)
-            self.model = model, _surroundings(scene, model)[0]
+        self.model = (by_volumes(self.robot), _surroundings(scene, by_volumes(robot))[0]) if robot.surfaces else None
         self.endless = endless(robot)
         self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, robot) if self.carried else robot)
         self.checked = 0
