@@ -75,7 +75,7 @@ Grouped = tuple[Obstacles | Own, ...]
 
 
 class Form(NamedTuple):
-    """What the shapes of `Obstacles`' arrays follow from, besides their kind: the rows a leaf, the room for leaves, and whether
+    """The shapes of `Obstacles`' arrays follow from this, besides their kind: the rows a leaf, the room for leaves, and whether
     there may be solids of triangles."""
 
     size: int

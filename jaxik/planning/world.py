@@ -34,7 +34,7 @@ Carried = dict[int, Volume]
 
 
 class Body(NamedTuple):
-    """What a robot brings along: its own surfaces and parts, unless the scene has them, and by their place those of its volumes
+    """A robot brings this along: its own surfaces and parts, unless the scene has them, and by their place those of its volumes
     that are JAX arrays, which it carries."""
 
     own: Packed
@@ -156,7 +156,7 @@ def _sixteens(x: np.ndarray) -> np.ndarray:
 
 
 def _bits(found: list[np.ndarray], count: int) -> np.ndarray:
-    """What `by_lane` has told of so many."""
+    """Unpacks what `by_lane` has told of so many."""
     lanes = np.unpackbits(found[0].view(np.uint8).reshape(-1, 4), axis=1, bitorder="little")[:, :TEAM_SIZE]
     return lanes.ravel()[:count].view(bool)
 

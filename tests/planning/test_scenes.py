@@ -55,7 +55,7 @@ def test_each_is_as_it_is_alone(arm):
 
 
 def test_rows_hit_what_is_in_their_own_scene(arm):
-    """In any order, and as many in one scene as there happen to be."""
+    """Their order does not matter, nor how many are in one scene."""
     robot, _ = arm
     rng = np.random.default_rng(1)
     q, among = rng.uniform(-2.5, 2.5, (500, 3)), rng.choice(7, 500, p=[0.4, 0.3, 0.0, 0.1, 0.1, 0.05, 0.05])
