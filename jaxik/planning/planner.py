@@ -19,6 +19,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
 from jaxik.options import Options, count, instance, number, per_joint
 from jaxik.planning.collision_checker import CollisionChecker, judged
+from jaxik.planning.improvement import improved
 from jaxik.planning.limits import Limits, motion_limits
 from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory, padded
@@ -62,6 +63,13 @@ class PlanOptions(Options, who="plan_motion"):
     )
     task: Task = instance(default=POSE, kind=Task, words="what a pose as the goal binds")
     postures: int = count(default=8, words="different postures of a pose among which the search may choose, the soonest ones")
+    improve: float | None = number(
+        default=None,
+        least=0.0,
+        optional=True,
+        unit="s",
+        words="time to look for a shorter way, for each problem, of many on average; the clock says how far it comes",
+    )
     places: int = count(default=128, words="number of places at which the speed is chosen (`time_path`)")
 
 
@@ -71,6 +79,8 @@ class PlanResult(Result):
     where: "start" or "goal" where one of them is refused, else "".
     waypoints (k, n): straight lines between them are proven free as well; None where there is no motion.
     trajectory: a `Trajectory`, or None.
+    length, bound: the length of the straight lines between the waypoints, and of the one to the nearest goal, which no way is
+    shorter than; joints weighted by the most that their unit moves the robot [m]. NaN where there is no motion.
     rounds, checked: how many rounds of the search were taken, and how many configurations were checked for collision.
     """
 
@@ -78,6 +88,8 @@ class PlanResult(Result):
     where: Any = by_row(default="")
     waypoints: Any = None
     trajectory: Any = None
+    length: Any = float("nan")
+    bound: Any = float("nan")
     rounds: Any = 0
     checked: Any = 0
     ROW: ClassVar = "motion"
@@ -169,11 +181,19 @@ def _planned(
     rounds[rows], checked[rows] = found.rounds, found.checked
     for i, way in zip(rows.tolist(), found.ways, strict=True):
         ways[i], reason[i] = way, int(Reason.NOT_CONVERGED if way is None else Reason.SOLVED)
-    tell(total, total)
     moved = [i for i, way in enumerate(ways) if way is not None]
+    if options.improve:
+        bent = [(i, way) for i, way in enumerate(ways) if way is not None and len(way) > 2]
+        rows = np.array([i for i, _ in bent], int)
+        shorter = improved(space, [way for _, way in bent], seed, options.improve, among[rows])
+        for i, way in zip(rows.tolist(), shorter, strict=True):
+            ways[i] = way
     timed = iter(_timed(robot, _rounded(space, [ways[i] for i in moved], among[moved]), limits, options.places))
     trajectories = tuple(None if way is None else next(timed) for way in ways)
-    return PlanResult(reason, tuple(where), tuple(ways), trajectories, rounds, checked)
+    tell(total, total)
+    lengths = np.array([np.nan if way is None else space.length(np.diff(way, axis=0)).sum() for way in ways])
+    bounds = np.array([np.nan if way is None else space.length(goals[i][free[i]] - way[0]).min() for i, way in enumerate(ways)])
+    return PlanResult(reason, tuple(where), tuple(ways), trajectories, lengths, bounds, rounds, checked)
 
 
 def _refused(pose: int, start: int, goals: np.ndarray) -> tuple[int, str]:

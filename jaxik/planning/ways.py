@@ -79,7 +79,7 @@ def _proven_ways(
     turns = np.broadcast_to(whole_turns(space.endless, starts), starts.shape)  # float32 has few digits left after many
     ends = [np.array([start, *goals]) - turn for start, goals, turn in zip(starts, goals, turns, strict=True)]
     ends, hopeless = _provable(space, ends, among)
-    ranges = [_search_range(space.robot, each[0]) for each in ends]
+    ranges = [search_range(space.robot, each[0]) for each in ends]
     lower = np.array([np.minimum(low, each.min(axis=0)) for (low, _), each in zip(ranges, ends, strict=True)])
     upper = np.array([np.maximum(high, each.max(axis=0)) for (_, high), each in zip(ranges, ends, strict=True)])
     searches = Searches(space, starts - turns, [each[1:] for each in ends], lower, upper, seed, among)
@@ -166,7 +166,7 @@ def _searched(searches: Searches, rows: np.ndarray, step: float, cushion: np.nda
         rows = rows[~ended[rows]]
 
 
-def _search_range(robot: Robot, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def search_range(robot: Robot, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`finite_limits`; those of a joint that lacks one are moved as far towards the start (n,) as its other one allows:
     how often it has turned before makes no difference to a search."""
     lower, upper = robot.finite_limits
@@ -202,10 +202,10 @@ def shortened(
         left = [i for i in left if len(found[i]) and space.length(np.diff(ways[i], axis=0)).sum() <= BETTER * lengths[i].sum()]
         if not left:
             break
-    return _proven_chains(space, places, found, chained, among), looked
+    return proven_chains(space, places, found, chained, among), looked
 
 
-def _proven_chains(
+def proven_chains(
     space: CollisionChecker,
     places: Sequence[Places],
     found: list[np.ndarray],
