@@ -96,7 +96,7 @@ class Improvement:
         return [_merged(*mine, *(x[f] for x in more)) for mine, more, f in zip(own, others, free, strict=True)]
 
     def _about(self, i: int, spread: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """So many points (count, n) about a way, none outside of the limits, and how far along it each is [m]."""
+        """Draws so many points (count, n) about a way, none outside of the limits, and how far along it each is [m]."""
         draw, way, weights = self.draws[i], self.ways[i], self.space.weights
         along = np.sort(draw.uniform(0.0, self.lengths[i], count))
         off = draw.normal(size=(count, way.shape[1])) * spread * self.lengths[i] / np.sqrt(way.shape[1])

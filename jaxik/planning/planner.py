@@ -161,7 +161,8 @@ def _planned(
         goals = turned(robot, starts, goals)
     else:
         bound = options.postures, limits, seed, options.task, options.margin
-        reason, goals = _postures(robot, scene, starts, asked.poses, *bound)
+        refused, goals = postures(robot, scene, starts, asked.poses, *bound)
+        reason = np.array(refused, int)
     space = CollisionChecker(robot, scene, options.margin)
     among = np.arange(len(starts)) if space.world.several else np.zeros(len(starts), int)
     each = np.concatenate([among, np.repeat(among, goals.shape[1])])
@@ -336,7 +337,7 @@ def turned(robot: Robot, starts: np.ndarray, goals: np.ndarray) -> np.ndarray:
 
 def postures(
     robot: Robot,
-    scene: Scene | None,
+    scene: Scene | Sequence[Scene] | None,
     starts: np.ndarray,
     poses: np.ndarray,
     count: int,
@@ -369,17 +370,6 @@ def postures(
     goals[there] = np.nan
     goals[there, 0] = starts[there]
     return np.asarray(found.reason), goals
-
-
-def _postures(
-    robot: Robot, scene: Scene | Sequence[Scene] | None, starts: np.ndarray, poses: np.ndarray, *bound: Any
-) -> tuple[np.ndarray, np.ndarray]:
-    """`postures` in one scene, or each in its own."""
-    if scene is None or isinstance(scene, Scene):
-        reason, goals = postures(robot, scene, starts, poses, *bound)
-        return reason.astype(int), goals
-    each = [postures(robot, one, starts[i : i + 1], poses[i : i + 1], *bound) for i, one in enumerate(scene)]
-    return np.concatenate([reason for reason, _ in each]).astype(int), np.concatenate([goals for _, goals in each])
 
 
 def _different(q: np.ndarray, count: int) -> np.ndarray:
