@@ -154,7 +154,7 @@ class Problem:
         return problem if around is None else dataclasses.replace(problem, scene=problem.asked(around))
 
     def asked(self, around: Grouped) -> Grouped:
-        """What is around the robot, which decides no further off than is asked."""
+        """The surroundings, which decide no further off than is asked."""
         return around if self.choice == "clearance" else at_margin(around, self.options.margin)  # that ranks what is clear
 
     def part(self, rows: slice) -> Problem:
