@@ -30,6 +30,8 @@ from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
 from jaxik.optimise import splines
 from jaxik.planning.planner import HELP, ends, turned
+from jaxik.planning.limits import Limits
+from jaxik.planning.planned_ways import soonest
 from jaxik.planning.trajectory import JointPath, Trajectory, along_pieces
 from jaxik.planning.trajectory_search import Search, Solved, finer
 from jaxik.planning.trajectory_terms import Target, TrajectoryOptions, at_knot, told_apart
@@ -145,29 +147,34 @@ def _guess(robot: Robot, guess: Any, count: int) -> np.ndarray | None:
 
 
 def _packed(search: Search, kept: list[Solved]) -> TrajectoryResult:
-    """Packs the motions, a row a problem, all over as many spans as the finest needs."""
-    terms, options, reason = search.terms, search.options, search.reason
+    """Packs the motions, a row a problem, all over as many spans: as the finest needs, or with a free time as it may."""
+    options, reason, free = search.options, search.reason, search.options.duration is None
     count, n, degree = len(search.starts), search.robot.num_joints, options.degree
-    kept = [(rows, found) for rows, found in kept if len(rows)]
-    spans = max([options.spans, *(found.points.shape[1] - degree for _, found in kept)])
+    kept = [each for each in kept if len(each.rows)]
+    spans = max([(1 + options.hastens) * options.spans, *(each.found.points.shape[1] - degree for each in kept)])
     points, cost, parts = np.full((count, spans + degree, n), np.nan), np.full(count, np.nan), np.full((count, 4), np.nan)
     iterations, converged = np.zeros(count, int), np.zeros(count, bool)
     size = max((sum(target.task.bound) for target in search.targets), default=0)
     multipliers = np.zeros((count, len(search.targets), size))
-    pressure = np.zeros((count, spans + 1, kept[0][1].pressure.shape[2] if kept else 0))
-    for rows, found in kept:
+    pressure = np.zeros((count, spans + 1, kept[0].found.pressure.shape[2] if kept else 0))
+    for rows, found, fastest in kept:
         while found.points.shape[1] - degree < spans:
             found = finer(found, degree)
         points[rows], cost[rows], iterations[rows], converged[rows] = found[0], found[1], found[3], found[4]
+        orders = search.fast.orders if fastest and search.fast is not None else search.terms.orders
         parts[rows] = 0.0
-        parts[rows[:, None], [order - 1 for order in terms.orders]] = found.parts[:, 1:]
-        parts[rows, 3] = found.cost - found.parts.sum(axis=1)
+        parts[rows[:, None], [order - 1 for order in orders]] = found.parts[:, 1:]
+        parts[rows, 3] = found.cost - found.parts.sum(axis=1) - fastest * found.stretch
         multipliers[rows] = found.multipliers
         pressure[rows] = found.pressure
-    duration = np.full(count, terms.duration) if options.duration is not None else search.judge.shortest(points, spans)
+    duration = search.judge.shortest(points, spans) if free else np.full(count, search.terms.duration)
     weak = np.isnan(duration) & ~np.isnan(cost)  # the drives cannot hold the arm on the way
     reason[weak], points[weak] = int(Reason.LIMITS), np.nan
     trajectory = _timed(points, degree, duration, search.robot.joint_names)
+    if search.retimed and count:
+        trajectory, planned = soonest(search.ways, trajectory, Limits(search.fast.velocity, search.fast.acceleration), search.robot)
+        cost[planned], parts[planned], converged[planned] = trajectory.duration[planned], 0.0, False
+        multipliers[planned], pressure[planned] = 0.0, 0.0
     return TrajectoryResult(reason, tuple(search.where), trajectory, cost, parts, iterations, converged, multipliers, pressure)
 
 
@@ -221,7 +228,7 @@ def trajectory_cost(
         raise ValueError(f"trajectory_cost: {len(asked)} poses, {found.multipliers.shape[0]} when it was found; give the same")
     end, *_ = along_pieces(curve[-1], jnp.asarray(found.trajectory.path.lengths[-1]))
     q = jnp.concatenate([curve[:, 3], end[None]])
-    total = jnp.asarray(np.sum(found.parts[:3]), q.dtype) + _collision_cost(robot, scene, q, options)
+    total = jnp.asarray(found.cost - found.parts[3], q.dtype) + _collision_cost(robot, scene, q, options)
     for (share, pose, task), multipliers in zip(asked, found.multipliers, strict=True):
         residual = _missed(robot, task, pose, q[round(share * (len(q) - 1))])
         total += jnp.asarray(multipliers, q.dtype)[: len(residual)] @ residual
