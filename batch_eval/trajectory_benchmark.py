@@ -51,7 +51,11 @@ def outcome(robot: jaxik.Robot, coal: Coal, goals: list[Any], found: list[Any]) 
         "acceleration": max(verdict["acceleration"] for verdict in verdicts),
         "duration_s": float(np.median([moved.trajectory.duration for moved in found if moved])),
         "failed": {goal.name: moved.why for goal, moved in zip(goals, found, strict=True) if not moved},
-        "hits": [goal.name for goal, v in zip([g for g, m in zip(goals, found, strict=True) if m], verdicts, strict=True) if not v["free"]],
+        "hits": [
+            goal.name
+            for goal, v in zip([g for g, m in zip(goals, found, strict=True) if m], verdicts, strict=True)
+            if not v["free"]
+        ],
     }
 
 

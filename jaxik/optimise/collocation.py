@@ -144,13 +144,12 @@ def _run(layout: Layout, state: _State, iterations: int, tolerance: float, exact
     return Found(*jax.tree_util.tree_map(lambda x: x[np.argsort(numbers)], rest))
 
 
-def _first(
-    layout: Layout, which: np.ndarray, points: np.ndarray, stretch: np.ndarray, multipliers: np.ndarray
-) -> _State:
+def _first(layout: Layout, which: np.ndarray, points: np.ndarray, stretch: np.ndarray, multipliers: np.ndarray) -> _State:
     """The state of the motions `which` at their first control points."""
     count = len(which)
     here = layout.measured(points, stretch, multipliers, which)
-    slack = [np.maximum(d, _ROOM) for d in here.distances]
+    least = lambda d: np.maximum(_ROOM, -d) if layout.problem.haste else _ROOM  # in haste, what is broken would jam
+    slack = [np.maximum(d, least(d)) for d in here.distances]
     barrier = 0.1 * (1e-3 + here.cost) / max(1, sum(s[0].size for s in slack))
     dual = [barrier[:, None, None] / s for s in slack]
     none, grip = np.zeros(count), _GRIP * (1e-3 + here.cost)
@@ -271,7 +270,15 @@ def _tried(layout: Layout, state: _State, step: _Step) -> _State:
     better = after <= before + 1e-9 * (1.0 + np.abs(before))
     kept = np.clip(1.0 - (4.0 * (before - after) / np.maximum(step.promise, 1e-300) - 1.0) ** 3, 0.1, 2.0)
     moved = state._replace(
-        **{"points": points, "stretch": stretch, "slack": slack, "dual": dual, "force": force, "here": there, "share": np.ones_like(alpha)},
+        **{
+            "points": points,
+            "stretch": stretch,
+            "slack": slack,
+            "dual": dual,
+            "force": force,
+            "here": there,
+            "share": np.ones_like(alpha),
+        },
         multipliers=along(alpha, state.multipliers, step.multipliers - state.multipliers),
         damping=np.where(state.damping < 1e-2, 0.0, kept * state.damping),
         barrier=_barrier(state, step, slack, dual),

@@ -28,7 +28,14 @@ class Ways(NamedTuple):
 
     @classmethod
     def planned(
-        cls, robot: Robot, scene: Scene | None, rows: np.ndarray, starts: np.ndarray, ends: np.ndarray, seed: int, how: PlanOptions
+        cls,
+        robot: Robot,
+        scene: Scene | None,
+        rows: np.ndarray,
+        starts: np.ndarray,
+        ends: np.ndarray,
+        seed: int,
+        how: PlanOptions,
     ) -> Self:
         """Plans motions for problems `rows` (s,) from starts to ends (s, n); those that have none are left out."""
         found = plan_motion(robot, starts, ends, scene=scene, seed=seed, options=how)
@@ -69,7 +76,6 @@ class Ways(NamedTuple):
             at = ((6.0 * x - 15.0) * x + 10.0) * x**3 * since[-1]
             row[:] = np.stack([np.interp(at, since, joint) for joint in way.T], axis=1)
         return samples
-
 
 
 def soonest(ways: Ways, chosen: Trajectory, limits: Limits, robot: Robot) -> tuple[Trajectory, np.ndarray]:

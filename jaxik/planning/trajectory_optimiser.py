@@ -33,7 +33,8 @@ from jaxik.planning.planner import HELP, ends, turned
 from jaxik.planning.limits import Limits
 from jaxik.planning.planned_ways import soonest
 from jaxik.planning.trajectory import JointPath, Trajectory, along_pieces
-from jaxik.planning.trajectory_search import Search, Solved, finer
+from jaxik.planning.trajectory_judge import finer
+from jaxik.planning.trajectory_search import Search, Solved
 from jaxik.planning.trajectory_terms import Target, TrajectoryOptions, at_knot, told_apart
 from jaxik.reasons import Reason
 from jaxik.results import Result, by_row
@@ -172,7 +173,9 @@ def _packed(search: Search, kept: list[Solved]) -> TrajectoryResult:
     reason[weak], points[weak] = int(Reason.LIMITS), np.nan
     trajectory = _timed(points, degree, duration, search.robot.joint_names)
     if search.retimed and count:
-        trajectory, planned = soonest(search.ways, trajectory, Limits(search.fast.velocity, search.fast.acceleration), search.robot)
+        trajectory, planned = soonest(
+            search.ways, trajectory, Limits(search.fast.velocity, search.fast.acceleration), search.robot
+        )
         cost[planned], parts[planned], converged[planned] = trajectory.duration[planned], 0.0, False
         multipliers[planned], pressure[planned] = 0.0, 0.0
     return TrajectoryResult(reason, tuple(search.where), trajectory, cost, parts, iterations, converged, multipliers, pressure)

@@ -17,7 +17,7 @@ from jaxik.optimise.programme import Problem
 from jaxik.planning.hastening import hastened
 from jaxik.planning.planned_ways import Ways
 from jaxik.planning.planner import Ends
-from jaxik.planning.trajectory_judge import BROKEN, CUSHION, Judge, at_knots, put
+from jaxik.planning.trajectory_judge import BROKEN, CUSHION, Judge, at_knots, finer, put
 from jaxik.planning.trajectory_terms import Target, Terms, TrajectoryOptions, told_apart
 from jaxik.reasons import Reason
 
@@ -88,7 +88,9 @@ class Search:
         slow = self._tried(rows[each], samples[each])
         left = self._open(rows)
         if self.plans and left.any():
-            slow += self._held(self.ways.of(self._open(self.ways.rows)) if len(self.ways.rows) else self._planned(rows[left], ends[left]))
+            slow += self._held(
+                self.ways.of(self._open(self.ways.rows)) if len(self.ways.rows) else self._planned(rows[left], ends[left])
+            )
         kept += slow if self.fast is None else [each for some in slow for each in self._faster(some)]
         if self.progress is not None:
             self.progress(len(self.starts), len(self.starts))
@@ -181,7 +183,7 @@ class Search:
         if not len(ways.rows):
             return []
         points = splines.through(ways.in_time(self.options.spans), degree, self.options.spans)
-        posed = lambda at, extra: self._problem(ways.rows[at], self.options.spans, extra, cautious=True, fast=True)
+        posed = lambda at, extra: self._problem(ways.rows[at], extra.shape[1] - 1, extra, cautious=True, fast=True)
         proven, found = hastened(self.judge, posed, points, self.options.iterations)
         best = proven & (_ranks(ways.rows, found.cost, LOSS * ~proven) == 0)
         good = self.ways.rows if self.retimed else ways.rows[best]
@@ -195,7 +197,7 @@ class Search:
         if not len(rows):
             return []
         spans = found.points.shape[1] - self.options.degree
-        posed = lambda at, extra: self._problem(rows[at], spans, extra, cautious=True, fast=True)
+        posed = lambda at, extra: self._problem(rows[at], extra.shape[1] - 1, extra, cautious=True, fast=True)
         proven, fast = hastened(self.judge, posed, found.points, self.options.iterations, found.multipliers)
         sooner = proven & (self.judge.shortest(fast.points, spans) < self.judge.shortest(found.points, spans))
         picked = lambda x, which: jax.tree_util.tree_map(lambda x: x[which], x)
@@ -304,10 +306,3 @@ def _ranks(rows: np.ndarray, cost: np.ndarray, off: np.ndarray) -> np.ndarray:
     found = np.empty(len(rows), int)
     found[order] = np.arange(len(rows)) - np.searchsorted(rows[order], rows[order])
     return found
-
-
-def finer(found: collocation.Found, degree: int) -> collocation.Found:
-    """The same motions over twice as many spans; between the old knots nothing presses."""
-    between = np.stack([found.pressure, np.zeros_like(found.pressure)], axis=2)
-    pressure = between.reshape(len(between), -1, between.shape[3])[:, :-1]
-    return found._replace(points=splines.finer(found.points, degree), pressure=pressure)

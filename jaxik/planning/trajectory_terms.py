@@ -30,7 +30,7 @@ from jaxik.spatial.algebra import Frame, stack, traced
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
-STRIDE = 0.05  # [m]
+STRIDE = 0.1
 CALM = 1e-3  # share of what velocity, acceleration and jerk cost, where it is time that does
 SOFT = 1e3  # how much more than a radian in the duration it costs to be in an obstacle for as long
 
@@ -98,7 +98,11 @@ class TrajectoryOptions(Options, who="optimise_trajectory"):
     via_task: Task = instance(default=POSITION, kind=Task, words="what each pose as a via point binds")
     postures: int = count(default=8, words="postures that have the goal's pose and are compared")
     kept: int = count(default=3, words="of these that are optimised")
-    rounds: int = count(default=50_000, least=0, words="of the planner, from whose way a motion begins whose time is free, or as a last resort; 0 is none")
+    rounds: int = count(
+        default=50_000,
+        least=0,
+        words="of the planner, from whose way a motion begins whose time is free, or as a last resort; 0 is none",
+    )
     iterations: int = count(default=60, words="of the solver")
     tolerance: float = number(
         default=1e-4, least=0.0, words="share of the cost by which a step of the solver must promise to lower it"
