@@ -74,7 +74,8 @@ class _State(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """Changes of points, stretches, slacks and duals; by how much the cost would fall were all quadratic, and the equations' next multipliers."""
+    """Changes of points, stretches, slacks and duals; by how much the cost would fall were all quadratic, and the equations'
+    next multipliers."""
 
     points: np.ndarray
     stretch: np.ndarray
@@ -164,7 +165,7 @@ def _step(layout: Layout, state: _State) -> _Step:
     if layout.problem.haste:
         move, longer, gained = _bordered(layout, state, columns, solved)
     else:
-        move, longer, gained = solved(*columns), np.zeros(len(state.which)), 0.0
+        move, longer, gained = solved(*columns), np.zeros(len(state.which)), np.zeros(len(state.which))
     promise = np.abs(np.sum(move * columns[-1], axis=(1, 2)) + gained)
     if layout.problem.open_end:
         move[:, layout.end + 1 :] = move[:, layout.end : layout.end + 1]

@@ -49,14 +49,17 @@ class Ways(NamedTuple):
 
     def of(self, picked: np.ndarray) -> Ways:
         """Those that are picked (s,)."""
-        which = np.flatnonzero(picked)
-        return Ways(self.rows[which], *([each[i] for i in which] for each in self[1:]))
+        return self._picked(np.flatnonzero(picked))
 
     def first(self, most: int) -> Ways:
         """Of each problem the soonest ones, in their order."""
         order = np.lexsort((self.duration, self.rows))
         rank = np.arange(len(order)) - np.searchsorted(self.rows[order], self.rows[order])
-        return Ways(self.rows[order], *([each[i] for i in order] for each in self[1:])).of(rank < most)
+        return self._picked(order[rank < most])
+
+    def _picked(self, which: np.ndarray) -> Ways:
+        pick = which.tolist()
+        return Ways(self.rows[which], [self.waypoints[i] for i in pick], [self.trajectories[i] for i in pick])
 
     def in_time(self, spans: int) -> np.ndarray:
         """Samples (s, k, n) at equal times."""
@@ -67,8 +70,8 @@ class Ways(NamedTuple):
         return np.stack(samples)
 
     def gently(self, spans: int, weights: np.ndarray) -> np.ndarray:
-        """Samples (s, k, n) along the lines between the waypoints, by the quintic of the way that is at rest at both ends, which
-        is as long as joints weighted by `weights` (n,) move."""
+        """Samples (s, k, n) along the lines between the waypoints, by the quintic of the way that is at rest at both ends; the
+        way is measured by joints weighted by `weights` (n,)."""
         x = np.linspace(0.0, 1.0, DENSE * spans + 1)
         samples = np.empty((len(self.rows), len(x), len(weights)))
         for row, way in zip(samples, self.waypoints, strict=True):
@@ -79,8 +82,8 @@ class Ways(NamedTuple):
 
 
 def soonest(ways: Ways, chosen: Trajectory, limits: Limits, robot: Robot) -> tuple[Trajectory, np.ndarray]:
-    """The least time within the limits along the paths of motions (b,), or the planner's motion where that is sooner or there is
-    no other one; and which are the planner's (b,). Each is as it would be alone."""
+    """The least time within the limits along the paths of motions (b,), or the planner's motion where that is sooner or there
+    is no other one; and which are the planner's (b,). Each is as it would be alone."""
     pieces = np.shape(chosen.path.lengths)[1]
     along = lambda path: time_path(path, **limits._asdict(), places=PARTS * pieces, robot=robot)
     found, taken = along(chosen.path), np.zeros(len(chosen.path.lengths), bool)

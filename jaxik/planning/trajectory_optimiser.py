@@ -29,9 +29,9 @@ from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
 from jaxik.optimise import splines
-from jaxik.planning.planner import HELP, ends, turned
 from jaxik.planning.limits import Limits
 from jaxik.planning.planned_ways import soonest
+from jaxik.planning.planner import HELP, ends, turned
 from jaxik.planning.trajectory import JointPath, Trajectory, along_pieces
 from jaxik.planning.trajectory_judge import finer
 from jaxik.planning.trajectory_search import Search, Solved
@@ -162,7 +162,7 @@ def _packed(search: Search, kept: list[Solved]) -> TrajectoryResult:
         while found.points.shape[1] - degree < spans:
             found = finer(found, degree)
         points[rows], cost[rows], iterations[rows], converged[rows] = found[0], found[1], found[3], found[4]
-        orders = search.fast.orders if fastest and search.fast is not None else search.terms.orders
+        orders = (search.fast if fastest else search.terms).orders
         parts[rows] = 0.0
         parts[rows[:, None], [order - 1 for order in orders]] = found.parts[:, 1:]
         parts[rows, 3] = found.cost - found.parts.sum(axis=1) - fastest * found.stretch

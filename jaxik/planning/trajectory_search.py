@@ -18,7 +18,7 @@ from jaxik.planning.hastening import hastened
 from jaxik.planning.planned_ways import Ways
 from jaxik.planning.planner import Ends
 from jaxik.planning.trajectory_judge import BROKEN, CUSHION, Judge, at_knots, finer, put
-from jaxik.planning.trajectory_terms import Target, Terms, TrajectoryOptions, told_apart
+from jaxik.planning.trajectory_terms import Target, TrajectoryOptions, told_apart
 from jaxik.reasons import Reason
 
 MENDS = 4  # rounds in which a motion that is not proven free is mended, the last ones with finer spans
@@ -57,8 +57,8 @@ class Search:
         self.via = via
         self.targets = via if self.poses is None else (*via, Target(1.0, self.poses, options.task))
         self.terms = options.terms(robot, scene)
-        self.soft, self.fast = self.terms.softened(), self.terms.hastened() if options.hastens else None
-        self.retimed = self.fast is not None and self.fast.retimed and not via
+        self.soft, self.fast = self.terms.softened(), self.terms.hastened()
+        self.retimed = options.hastens and self.fast.retimed and not via
         self.judge = Judge(self.terms)
         self.reason, self.where = np.full(len(self.starts), int(Reason.NOT_CONVERGED)), np.full(len(self.starts), "", object)
         self.levels = [options.spans]
@@ -81,17 +81,16 @@ class Search:
         if guess is not None and self.poses is not None:  # the guess ends where it does, whatever posture has the pose
             each = np.unique(rows, return_index=True)[1]
         kept: list[Solved] = []
-        if self.plans and self.fast is not None and guess is None and not self.via:
+        begins = self.plans and self.options.hastens and guess is None and not self.via
+        if begins:
             self.ways = self._planned(rows, ends)
             kept += self._ahead()
         each = each[self._open(rows[each])]
         slow = self._tried(rows[each], samples[each])
         left = self._open(rows)
         if self.plans and left.any():
-            slow += self._held(
-                self.ways.of(self._open(self.ways.rows)) if len(self.ways.rows) else self._planned(rows[left], ends[left])
-            )
-        kept += slow if self.fast is None else [each for some in slow for each in self._faster(some)]
+            slow += self._held(self.ways.of(self._open(self.ways.rows)) if begins else self._planned(rows[left], ends[left]))
+        kept += [each for some in slow for each in self._faster(some)] if self.options.hastens else slow
         if self.progress is not None:
             self.progress(len(self.starts), len(self.starts))
         return kept

@@ -30,7 +30,7 @@ from jaxik.spatial.algebra import Frame, stack, traced
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
-STRIDE = 0.1
+STRIDE, BOLD = 0.05, 0.1  # [m] that a cautious step moves anything at most, and one in haste
 CALM = 1e-3  # share of what velocity, acceleration and jerk cost, where it is time that does
 SOFT = 1e3  # how much more than a radian in the duration it costs to be in an obstacle for as long
 
@@ -222,15 +222,15 @@ class Terms:
         used: np.ndarray | None = None,
     ) -> programme.Problem:
         """Over so many spans; `extra` (B, spans + 1) [m] is kept beyond the margin at each knot, and of the drives' limits the
-        share `used` (B, 1 or spans + 1). Being cautious, a step moves nothing by more than `STRIDE`, and bounds hold between
-        knots, too."""
+        share `used` (B, 1 or spans + 1). Being cautious, a step moves nothing by more than `STRIDE`, in haste `BOLD`, and
+        bounds hold between knots, too."""
         at = tuple(round(target.share * spans) for target in targets)
         count = max((sum(target.task.bound) for target in targets), default=0)
         asked = functools.partial(self._equations, targets, count) if targets else None
         samples = functools.partial(self._samples, 0.0 if extra is None else extra, open_end)
         return programme.Problem(
             *(self.options.degree, self.duration / spans, self._rows(spans, cautious), samples, asked, at, count, open_end),
-            cautious=self._reaches / STRIDE if cautious and self._robots else None,
+            cautious=self._reaches / (BOLD if self.hasty else STRIDE) if cautious and self._robots else None,
             loads=self.loads if self.drives.limited else None,
             limit=None if not self.drives.limited else np.ones((1, 1, 1)) if used is None else used[:, :, None],
             haste=float(self.hasty),
@@ -239,8 +239,8 @@ class Terms:
     def hastened(self) -> Terms:
         """The same within all limits, which a free time had none of, with a time that costs."""
         velocity, acceleration, jerk = self.options.limits(self.robot)
-        changes = {"velocity": velocity, "acceleration": acceleration, "jerk": jerk, "hasty": True}
-        return dataclasses.replace(self, drives=self.options.drives(self.robot), **changes)
+        drives = self.options.drives(self.robot)
+        return dataclasses.replace(self, velocity=velocity, acceleration=acceleration, jerk=jerk, drives=drives, hasty=True)
 
     def softened(self) -> Terms:
         """The same with obstacles that cost instead of a margin: from within one a motion finds out."""
