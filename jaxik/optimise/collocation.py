@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxik.optimise.banded import banded_solve
-from jaxik.optimise.programme import Layout, Measured, Problem
+from jaxik.optimise.programme import Layout, Measured, Problem, one_sided
 from jaxik.optimise.splines import applied, spread
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import cores, in_blocks, threads
@@ -190,9 +190,9 @@ def _bordered(
         corner += np.sum(gain * stiff, axis=(1, 2))
         pull += np.sum(gain * (barrier / s) - stiff * (d - s), axis=(1, 2))
         if k < len(layout.bounds):
-            i, sign, _ = layout.bounds[k]
-            if layout.problem.rows[i].order:
-                spread(layout.problem.rows[i].stencil, sign * stiff, column)
+            row = layout.problem.rows[layout.bounds[k][0]]
+            if row.order:
+                spread(row.stencil, one_sided(stiff), column)
         elif (side := layout.of_load(k)) is not None:
             by_load = by_load + side * stiff
     if np.ndim(by_load):
@@ -222,9 +222,9 @@ def _system(layout: Layout, state: _State) -> tuple[np.ndarray, ...]:
         stiff = z / s
         push = barrier / s - stiff * (d - s)
         if k < len(layout.bounds):
-            i, sign, _ = layout.bounds[k]
-            diagonal[:, : s.shape[1], i] += stiff
-            by_row[i] += sign * push
+            i, _ = layout.bounds[k]
+            diagonal[:, : s.shape[1], i] += stiff[..., : layout.n] + stiff[..., layout.n :]
+            by_row[i] += one_sided(push)
         elif (side := layout.of_load(k)) is not None:
             lifts, heavy = lifts + side * push, heavy + stiff
         else:

@@ -145,17 +145,15 @@ class Layout:
                     found[m, block - m] += a
         return found
 
-    def _bounds(self, i: int, row: Rows, count: int) -> list[tuple[int, float, np.ndarray]]:
-        """Lists the bounds of row i as its number, 1 or -1, and the bound (B, places, n). A row that is known has none, since
-        it has no inside."""
+    def _bounds(self, i: int, row: Rows, count: int) -> list[tuple[int, np.ndarray]]:
+        """Lists the bounds of row i, if it has any: its number, and what its values, `two_sided`, exceed (B, places, 2 n). A
+        row that is known has none, since it has no inside."""
         places = self.size - len(row.stencil) + 1
         unknown = np.any(self.patterns[:places, i], axis=1, keepdims=True)
-        found = []
-        for sign, bound in ((1.0, row.low), (-1.0, row.high)):
-            whole = np.broadcast_to(np.asarray(bound, np.float64), (count, places, self.n))
-            if np.isfinite(whole).any():
-                found.append((i, sign, np.where(unknown, np.clip(whole, -FAR, FAR), -sign * FAR)))
-        return found
+        whole = [np.broadcast_to(np.asarray(x, np.float64), (count, places, self.n)) for x in (row.low, row.high)]
+        if not np.isfinite(whole).any():
+            return []
+        return [(i, np.where(unknown, np.clip(np.concatenate([whole[0], -whole[1]], axis=2), -FAR, FAR), -FAR))]
 
     def no_multipliers(self, count: int) -> np.ndarray:
         """The multipliers at which those of `count` motions begin."""
@@ -173,10 +171,10 @@ class Layout:
         nothing = (np.zeros((len(q), 0, *shape)) for shape in ((0,), (0, self.n), (self.n, self.n)))
         equations = problem.equations(q[:, problem.at], multipliers, which) if problem.equations else Equations(*nothing)
         distances, gains = [], []
-        for i, sign, bound in self.bounds:
+        for i, bound in self.bounds:
             order, most = problem.rows[i].order if problem.haste else 0, bound[which]
-            grows = np.where(np.abs(most) < FAR, -sign * most, 0.0) if order else np.zeros((len(q), 1, 1))
-            distances.append(sign * (values[i] - most) + (grows * (slow**order - 1.0) if order else 0.0))
+            grows = np.where(np.abs(most) < FAR, -most, 0.0) if order else np.zeros((len(q), 1, 1))
+            distances.append(two_sided(values[i]) - most + (grows * (slow**order - 1.0) if order else 0.0))
             gains.append(grows * order * slow ** (order - 1) if order else grows)
         loads = Loads(np.zeros((*q.shape[:2], 0)), np.zeros((*q.shape[:2], 0, 3, self.n)))
         if problem.loads is not None:
@@ -198,8 +196,7 @@ class Layout:
         for k in range(len(here.distances)):
             by_time = here.gains[k] * longer[:, None, None]
             if k < len(self.bounds):
-                i, sign, _ = self.bounds[k]
-                yield by_time + sign * applied(self.problem.rows[i].stencil, move)
+                yield by_time + two_sided(applied(self.problem.rows[self.bounds[k][0]].stencil, move))
             elif (side := self.of_load(k)) is not None:
                 yield by_time + side * sum(
                     np.matmul(here.loads.slopes[:, :, :, i], applied(stencil, move)[..., None])[..., 0]
@@ -246,3 +243,14 @@ class Layout:
             all_slopes[:, at], all_weights[:, at] = 0.0, 0.0
             all_slopes[:, at, :n], all_weights[:, at, :n] = np.moveaxis(vectors, -1, -2), np.maximum(values, 0.0)
         return all_slopes, all_weights
+
+
+def two_sided(values: np.ndarray) -> np.ndarray:
+    """The values (..., n) and their opposites (..., 2 n): of what has a lower and an upper bound."""
+    return np.concatenate([values, -values], axis=-1)
+
+
+def one_sided(pushes: np.ndarray) -> np.ndarray:
+    """The pushes on values (..., n) by those of their two sides (..., 2 n)."""
+    n = pushes.shape[-1] // 2
+    return pushes[..., :n] - pushes[..., n:]

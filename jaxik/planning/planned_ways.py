@@ -48,11 +48,11 @@ class Ways(NamedTuple):
         return np.array([float(each.duration) for each in self.trajectories])
 
     def of(self, picked: np.ndarray) -> Ways:
-        """Those that are picked (s,)."""
+        """The ways that are picked (s,)."""
         return self._picked(np.flatnonzero(picked))
 
     def first(self, most: int) -> Ways:
-        """Of each problem the soonest ones, in their order."""
+        """The soonest ways of each problem, at most so many, in their order."""
         order = np.lexsort((self.duration, self.rows))
         rank = np.arange(len(order)) - np.searchsorted(self.rows[order], self.rows[order])
         return self._picked(order[rank < most])

@@ -1,4 +1,4 @@
-"""The best motion rather than any: a trajectory whose cost is least among those that keep clear, from start to goal.
+"""The best motion rather than any: the fastest one, or in a given time the one that costs least, among those that keep clear.
 
 The direct method of Schuetz 2017, ch. 6, and what it leaves open. Its motion is a spline with control points in equal time
 steps (`optimise.splines`); its cost is
@@ -7,7 +7,8 @@ steps (`optimise.splines`); its cost is
 
 Its conditions are start and end (6.9), via points, and the joints' limits (6.10), of acceleration and jerk, too. Obstacles cost
 something (6.7), or the arm keeps a margin to them. Samples can jump a thin stem: so what is returned is proven free between
-them, and where it is not, it is mended with wider margins and finer steps, or begun again from a planner's path.
+them, and where it is not, it is mended with wider margins and finer steps, or begun again from a planner's path. A motion whose
+time is free begins from one (`hastening`).
 """
 
 from __future__ import annotations
@@ -46,9 +47,11 @@ class TrajectoryResult(Result):
     """The motion of least cost; many motions have a leading axis. The numbers of one that was not found are NaN.
 
     where: "start" or "goal" where one of them is refused, else "".
-    cost, parts (4,): the integral that was minimised, and its parts by velocity, acceleration, jerk and collision.
+    cost, parts (4,): the integral that was minimised, and its parts by velocity, acceleration, jerk and collision; of the
+        fastest motion the time of its spline [s], and a thousandth of what these cost were it over in a second.
     iterations: of the solver, with few spans and with all.
-    converged: whether the solver came to rest; a motion that is free and inside its limits is kept even if it did not.
+    converged: whether the solver came to rest; a motion that is free and inside its limits is kept even if it did not, and the
+        planner's where it is the fastest that is proven.
     multipliers (j, m), pressure (spans + 1, l): the cost's slopes by the targets, and by the margins.
     """
 
@@ -81,11 +84,13 @@ def optimise_trajectory(
     progress: Callable[[int, int], Any] | None = None,
     **changes: Any,
 ) -> TrajectoryResult:
-    """The motion of least cost from `start` to `goal`, at rest at both, that keeps clear and inside the limits. Host driver.
+    """The best motion from `start` to `goal`, at rest at both, that keeps clear and inside the limits: the fastest, or of a
+    given `duration` that of least cost. Host driver.
 
     `start`, `goal` and batches of them are those of `plan_motion`: configurations, of several the one that costs least, or
     poses `base_T_tip` [m], whose posture is free, and is optimised, too. `guess` (k, n) or (b, k, n) are configurations in
-    equal times, from which to begin; without one, straight lines to several postures are compared. A joint without limits
+    equal times, from which to begin; without one, the fastest motion begins as the planner's, than which it is no slower, and
+    for one of least cost straight lines to several postures are compared. A joint without limits
     takes the shorter turn to the goal, or that of the guess. `via` are pairs of a share of the duration, of which the nearest
     end of one of the `spans` is meant, and a pose that the tip has there. `seed` decides among postures and in the planner.
     `progress` is called with the motions that are solved or refused, and the number of all. `changes` are fields of

@@ -169,7 +169,7 @@ class Search:
         return Ways.planned(self.robot, self.scene, rows, self.starts[rows], ends, self.seed, how)
 
     def _open(self, rows: np.ndarray) -> np.ndarray:
-        """Which of the problems have no motion yet."""
+        """Whether each of the problems has no motion yet."""
         return self.reason[rows] != Reason.SOLVED
 
     # ----------------------------------------------------------------------------------------------------------------

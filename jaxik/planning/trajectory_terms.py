@@ -47,7 +47,8 @@ class TrajectoryOptions(Options, who="optimise_trajectory"):
         above=0.0,
         optional=True,
         unit="s",
-        words="of the motion; None is as short as the limits of the motion's form allow, of which each joint has one then",
+        words="of the motion; None is the least there is within limits, of which each joint has one then; where obstacles cost "
+        "something, as short as the limits of the motion's form allow",
     )
     spans: int = count(default=64, words="of the spline")
     degree: int = count(default=3, least=2, most=3, words="of the spline")
