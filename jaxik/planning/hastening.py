@@ -25,7 +25,7 @@ DEEP = 0.05  # [m] in an obstacle, from which none is
 ENOUGH = 1e-3  # share of the time to which it is the least
 EXACT = 1e-6  # by which a bound or a target may be missed
 BACK = 1.0, 0.9, 0.75, 0.6, 0.4, 0.2, 0.0  # shares of the way to a motion, at which it is mended
-ROOM = 1.1
+ROOM = 1.1  # times as long as its form needs, a motion begins: inside of its limits
 SOON, LONG = 1e-3, 3.0  # [s] in which a motion begins that does not move, and one that the drives cannot hold
 Posed = Callable[[np.ndarray, np.ndarray], Problem]
 
@@ -55,6 +55,8 @@ def hastened(
 def _back(judge: Judge, first: np.ndarray, last: np.ndarray, extra: np.ndarray) -> np.ndarray:
     """The points (b, M, n) from the last back to the first ones where the motion has all its room, or lacks the least of it:
     from within what it is to keep away from no step leads out."""
+    if judge.space is None:
+        return last
     lacks = []
     for share in BACK:
         q = splines.applied(splines.VALUE[judge.options.degree], first + share * (last - first))

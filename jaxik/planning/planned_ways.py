@@ -51,6 +51,10 @@ class Ways(NamedTuple):
         """The ways that are picked (s,)."""
         return self._picked(np.flatnonzero(picked))
 
+    def within(self, pieces: int) -> Ways:
+        """The ways of no more than so many pieces."""
+        return self.of(np.array([np.count_nonzero(each.path.lengths) for each in self.trajectories], int) <= pieces)
+
     def first(self, most: int) -> Ways:
         """The soonest ways of each problem, at most so many, in their order."""
         order = np.lexsort((self.duration, self.rows))
@@ -99,6 +103,8 @@ def soonest(ways: Ways, chosen: Trajectory, limits: Limits, robot: Robot) -> tup
 
 def _split(path: JointPath, pieces: int) -> JointPath:
     """The path in so many pieces, of which none is much longer than the others were: each is cut into as many."""
+    some = np.flatnonzero(path.lengths)
+    path = JointPath(path.lengths[some], path.coefficients[some]) if len(some) else path
     times = max(1, pieces // len(path.lengths))
     part = np.repeat(path.lengths / times, times)
     c = np.repeat(path.coefficients, times, axis=0)

@@ -157,7 +157,7 @@ def _packed(search: Search, kept: list[Solved]) -> TrajectoryResult:
     options, reason, free = search.options, search.reason, search.options.duration is None
     count, n, degree = len(search.starts), search.robot.num_joints, options.degree
     kept = [each for each in kept if len(each.rows)]
-    spans = max([(1 + options.hastens) * options.spans, *(each.found.points.shape[1] - degree for each in kept)])
+    spans = max([search.pieces if options.hastens else options.spans, *(each.found.points.shape[1] - degree for each in kept)])
     points, cost, parts = np.full((count, spans + degree, n), np.nan), np.full(count, np.nan), np.full((count, 4), np.nan)
     iterations, converged = np.zeros(count, int), np.zeros(count, bool)
     size = max((sum(target.task.bound) for target in search.targets), default=0)

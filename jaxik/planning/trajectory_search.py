@@ -25,6 +25,7 @@ MENDS = 4  # rounds in which a motion that is not proven free is mended, the las
 DEEP = 0.02  # [m] in an obstacle, from which no mending is tried: it is jumped
 MANY = 48  # spans that can follow a planner's way
 FEWEST = 12  # spans at which seeds are compared, and halved no more
+MOST = 64  # pieces of a planner's motion that may be the answer
 LOSS = 1e3  # cost of a metre, or a radian, by which a seed breaks a bound
 
 
@@ -83,7 +84,7 @@ class Search:
         kept: list[Solved] = []
         begins = self.plans and self.options.hastens and guess is None and not self.via
         if begins:
-            self.ways = self._planned(rows, ends)
+            self.ways = self._planned(rows, ends).within(self.pieces)
             kept += self._ahead()
         each = each[self._open(rows[each])]
         slow = self._tried(rows[each], samples[each])
@@ -94,6 +95,14 @@ class Search:
         if self.progress is not None:
             self.progress(len(self.starts), len(self.starts))
         return kept
+
+    @property
+    def pieces(self) -> int:
+        """The number of a trajectory's pieces where the time is free: twice the spans, and as many as a planner's way has."""
+        pieces = 2 * self.options.spans
+        while pieces < MOST:
+            pieces *= 2
+        return pieces
 
     def tell(self) -> None:
         """Calls `progress` with the problems that are solved or refused."""

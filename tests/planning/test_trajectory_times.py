@@ -47,7 +47,7 @@ def test_no_slower_than_the_planner(arm):
     robot, coal = arm
     limits = {"velocity": np.array([1.0, 1.5, 2.0]), "acceleration": np.array([3.0, 5.0, 6.0])}
     ratios = []
-    for start, goal in ((START, GOAL), (NEAR, ASIDE), (GOAL, START + [0.0, 0.6, -0.3])):
+    for start, goal in ((START, GOAL), (NEAR, ASIDE), (GOAL, START + np.array([0.0, 0.6, -0.3]))):
         found, planned = (verb(robot, start, goal, scene=POLES, **limits) for verb in (optimise_trajectory, plan_motion))
         assert found.why == planned.why == "solved"
         ratios.append(found.trajectory.duration / planned.trajectory.duration)
