@@ -107,6 +107,22 @@ def planning_markdown(result: dict[str, Any]) -> str:
     )
 
 
+def trajectory_markdown(result: dict[str, Any]) -> str:
+    """Optimised motions beside planned ones."""
+    verbs = {name: result[name] for name in ("plan_motion", "optimise_trajectory")}
+    beside, spread = result["beside"], ("p50_ms", "mean_ms", "p95_ms", "slowest_ms")
+    rows = [
+        ("solved", lambda of: f"{of['solved']} of {result['problems']}"),
+        ("of these free by coal, every millimetre", lambda of: f"{of['free']}"),
+        ("one call, warm: median, mean, 95 %, slowest", lambda of: ", ".join(f"{of[k]:.0f} ms" for k in spread)),
+        ("motion, median", lambda of: f"{of['duration_s']:.2f} s"),
+    ]
+    lines = [f"| {result['robot']}, from start to goal | {' | '.join(verbs)} |", "| --- | --- | --- |"]
+    lines += [f"| {words} | {' | '.join(told(of) for of in verbs.values())} |" for words, told in rows]
+    ratios = f"{beside['time_ratio_mean']:.2f} (from {beside['time_ratio_least']:.2f} to {beside['time_ratio_most']:.2f})"
+    return "\n".join([*lines, f"| time of motion, mean of its share of the planner's | 1 | {ratios} |"])
+
+
 def _is_way(row: Any) -> bool:
     return isinstance(row, dict) and "length" in row
 
