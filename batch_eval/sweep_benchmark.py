@@ -1,6 +1,6 @@
 """Measures what a sweep costs, and that nothing is lost: `python batch_eval/sweep_benchmark.py [PART ...]`, on Linux.
 
-Parts: eaik, between, crop, search, scaling, scene, processes, kills, same. Each part's rows are kept in
+Parts: eaik, between, crop, search, scaling, scene, processes, kills, same, motions. Each part's rows are kept in
 `sweep_benchmark.json`; the others stay as they were. `scene` and `scaling` draw `sweep_scaling.png`. Needs
 `pip install -e ".[test,peers]"`.
 """
@@ -326,7 +326,71 @@ def same() -> dict[str, Any]:
         }
 
 
-PARTS = {f.__name__: f for f in (eaik, between, crop, search, scaling, scene, processes, kills, same)}
+def cell(seed: int = 0, count: int = 12) -> jaxik.Scene:
+    """A table, a shelf of two boards behind it, and boxes and posts that stand on the table anyhow."""
+    rng, z = np.random.default_rng(seed), 0.2
+    boxes = [[0.55, 0.0, z - 0.05, 0.5, 1.2, 0.1], *([0.85, 0.0, h, 0.2, 1.2, 0.02] for h in (0.5, 0.75))]
+    for x, y, height in rng.uniform([0.4, -0.5, 0.1], [0.7, 0.5, 0.3], (count, 3)):
+        boxes.append([x, y, z + height / 2.0, 0.06, 0.06, height])
+    return jaxik.make_scene(boxes=boxes, name="cell")
+
+
+def motions(count: int = 10_000, rounds: int = 3) -> dict[str, Any]:
+    """Motions of a Panda in a generated cell: between random free postures, and to poses on a grid; with their waypoints, and
+    with samples too. Beside it `plan_motion` alone, of the same starts and goals in one call. Wall and CPU time."""
+    home = [0.0, -0.8, 0.0, -2.3, 0.0, 1.6, 0.8]
+    grid = {"x": [0.3, 0.7, 10], "y": [-0.6, 0.6, 25], "z": [0.3, 0.9, 8]}
+    grid["directions"] = [[0, 0, -1], [1, 0, 0], [0, 1, 0], [0, -1, 0], [1, 0, -1]]
+    top = {"robot": "panda", "collision": {"scene": cell()}}
+    studies = {
+        "between postures": {"motions": {}, "targets": {"kind": "random", "count": count}},
+        "the same, 64 samples": {"motions": {"samples": 64}, "targets": {"kind": "random", "count": count}},
+        "to poses": {"motions": {"start": home}, "targets": {"kind": "grid"} | grid},
+    }
+    return {name: _motions(top | study, rounds) for name, study in studies.items()}
+
+
+def _clocked(clocks: list[tuple[float, float]], call: Any) -> Any:
+    """The value of a call, whose wall and CPU time [s] is noted."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    value = call()
+    clocks.append((time.perf_counter() - wall, time.process_time() - cpu))
+    return value
+
+
+def _motions(study: dict[str, Any], rounds: int) -> dict[str, Any]:
+    read = jaxik.sweeps.Study.of(study)
+    robot, options, own = read.variants[0].robot, read.motions.plan, read.targets.kind == "random"
+    clocks: dict[str, list[tuple[float, float]]] = {"swept": [], "alone": []}
+    with tempfile.TemporaryDirectory() as folder:
+        for turn in range(rounds):
+            done = _clocked(clocks["swept"], lambda: jaxik.sweep(read, Path(folder) / f"{turn}.zarr"))  # noqa: B023
+            data = done.dataset().load()
+            starts = data.start_q.values if own else np.array(read.variants[0].start)
+            goals = data.goal_q.values if own else read.targets.poses_at(np.arange(len(read.targets)))
+            plan = lambda: jaxik.plan_motion(robot, starts, goals, scene=read.scene, options=options)  # noqa: B023
+            alone = _clocked(clocks["alone"], plan)
+        stored = sum(f.stat().st_size for f in Path(folder, "0.zarr").rglob("*") if f.is_file())
+    wall, cpu = ({name: min(x[i] for x in each) for name, each in clocks.items()} for i in range(2))
+    solved = alone.success
+    return {
+        "motions": len(read.targets),
+        "counts": done.counts(),
+        "searched": int(np.sum(alone.rounds > 0)),
+        "as_alone": bool(np.array_equal(data.reason, alone.reason))
+        and all(np.array_equal(data.q.values[i], alone.waypoints[i][-1]) for i in np.flatnonzero(solved)),
+        "an_hour": 3600.0 * len(read.targets) / wall["swept"],
+        "ms_each": 1e3 * wall["swept"] / len(read.targets),
+        "alone_ms_each": 1e3 * wall["alone"] / len(read.targets),
+        "cpu_ms_each": 1e3 * cpu["swept"] / len(read.targets),
+        "alone_cpu_ms_each": 1e3 * cpu["alone"] / len(read.targets),
+        "bytes_each": stored / len(read.targets),
+        "most_waypoints": int(data.waypoint_count.max()),
+        "mean_duration": float(np.nanmean(data.duration)),
+    }
+
+
+PARTS = {f.__name__: f for f in (eaik, between, crop, search, scaling, scene, processes, kills, same, motions)}
 
 
 def draw(result: dict[str, Any]) -> None:

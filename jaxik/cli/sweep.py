@@ -1,4 +1,4 @@
-"""`jaxik sweep`: where a robot can reach."""
+"""`jaxik sweep`: where a robot can reach, by postures or by motions."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import tyro
 
 import jaxik
 from jaxik.cli.arguments import Ignored, ignored_pairs
 from jaxik.cli.results import LOOKED, naming, offenders
 from jaxik.cli.terminal import STOPPED, Patience, progress_bar
+from jaxik.sweeps.postures import Postures
 
 
 @dataclasses.dataclass
@@ -39,9 +41,12 @@ class SweepArguments:
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
         study = jaxik.sweeps.Study.of(self.study, ignore=ignored_pairs(self.ignore) or None)
+        if self.plot and isinstance(study.targets, Postures):
+            raise ValueError("--plot: a picture shows places, and the targets are postures; leave it out")
+        what = "targets" if study.motions is None else "motions"
         start = time.perf_counter()
         console = Console(stderr=True)
-        rate = TextColumn("{task.fields[rate]} targets/s")
+        rate = TextColumn("{task.fields[rate]} " + what + "/s")
         columns = (TextColumn("sweep"), BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn())
         with progress_bar(*columns, console=console) as bar, Patience(console, "this chunk") as asked:
             line = bar.add_task("sweep", total=None, rate="-")
@@ -58,8 +63,8 @@ class SweepArguments:
         counts = ", ".join(f"{n:,} {reason}" for reason, n in result.counts().items())
         state = f"{result.done} of {result.total} chunks"
         print(f"{counts or 'nothing yet'}; {state} in {time.perf_counter() - start:.1f} s; wrote {out}")
-        if set(result.counts()) & {"collision", "solved"} == {"collision"}:
-            print(offenders(result.colliding(LOOKED)))
+        if set(result.counts()) & {"collision", "solved"} == {"collision"} and (words := _in_the_way(result)):
+            print(words)
         if self.plot:
             from jaxik.view import plot_sweep
 
@@ -70,3 +75,15 @@ class SweepArguments:
         if asked.stop and not result.complete:
             print("stopped; run the same command again and it goes on", file=sys.stderr)
             raise SystemExit(STOPPED)
+
+
+def _in_the_way(result: jaxik.sweeps.SweepResult) -> str:
+    """Names what is hit where nothing is solved: at the start of the motions, or else at the targets."""
+    study = result.study
+    for variant in study.variants:
+        if variant.start is not None:
+            near = jaxik.explain(variant.robot, study.scene or jaxik.make_scene(), np.array(variant.start), count=1)
+            hits = [f"start: {contact}" for contact in near.contacts if contact.distance < study.margin]
+            if hits:
+                return hits[0]
+    return "" if isinstance(study.targets, Postures) else offenders(result.colliding(LOOKED))

@@ -29,7 +29,9 @@ from jaxik.ik.solve import IKResult, solved
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import Reason
 from jaxik.spmd.batch import compilation_cache
-from jaxik.sweeps.evaluation import Columns, answer
+from jaxik.sweeps.columns import WHERE, Columns
+from jaxik.sweeps.evaluation import answer
+from jaxik.sweeps.postures import Postures
 from jaxik.sweeps.robot_variants import Variant
 from jaxik.sweeps.store import Store, StoreError
 from jaxik.sweeps.study import Study
@@ -80,12 +82,16 @@ class SweepResult:
 
     def colliding(self, most: int) -> IKResult:
         """The answers of `solve_ik` to `most` targets that collide, of the first chunk that has any. Their `offenders` name
-        what is in the way, which a store does not keep. Host driver."""
+        what is in the way, which a store does not keep; of motions only those whose goal is a pose that collides. Host driver.
+
+        Raises `ValueError` where the targets are postures."""
+        if isinstance(self.study.targets, Postures):
+            raise ValueError("colliding: the targets are postures; jaxik.explain tells what one is too near to")
         store, study, colliding = Store.of(self.path, self.study), self.study, np.zeros(0, int)
         variant = study.variants[0]
         for number in np.flatnonzero(store.finished()):
             variant, _, rows = study.work(int(number))
-            colliding = rows.start + np.flatnonzero(store.column(int(number), "reason") == Reason.COLLISION)[:most]
+            colliding = rows.start + np.flatnonzero(_hit(store, int(number)))[:most]
             if len(colliding):
                 break
         among, scene = study.targets.among, study.scene or make_scene()
@@ -95,6 +101,12 @@ class SweepResult:
         base_T_frame = np.linalg.inv(variant.robot.world_T_base) if study.targets.frame == "world" else None
         targets = Poses.of(study.targets.poses_at(colliding, base_T_frame), study.ik.task)
         return solved(variant.robot, targets, scene, study.seed, study.ik)
+
+
+def _hit(store: Store, number: int) -> np.ndarray:
+    """Whether each target of a finished chunk collides, and not the start of the motion to it."""
+    hit = np.asarray(store.column(number, "reason") == Reason.COLLISION)
+    return hit & (store.column(number, "where") == WHERE.index("goal")) if store.study.motions is not None else hit
 
 
 def sweep(
@@ -263,8 +275,8 @@ def _ended(store: Store, repair: bool) -> SweepResult:
 
 
 # times the study's own; the last is dense
-EFFORTS = {"closed form": (0.25, 0.5, 1.0, 4.0), "search": (1 / 32, 1 / 8, 1.0, 8.0)}
-WHAT = {"closed form": "slides", "search": "max_seeds"}
+EFFORTS = {"closed form": (0.25, 0.5, 1.0, 4.0), "search": (1 / 32, 1 / 8, 1.0, 8.0), "motion": (1 / 64, 1 / 8, 1.0, 4.0)}
+WHAT = {"closed form": "slides", "search": "max_seeds", "motion": "rounds"}
 AUDITED = 0x617564
 
 
@@ -272,9 +284,10 @@ def audit(store: Store) -> dict[str, Any]:
     """Estimates how many reachable targets a sweep missed: some of them, drawn at random, are asked again with more effort.
     Returns the attributes `audit`, by method, and `false_negative_rate`, over all, of a complete store.
 
-    Effort is positions of what the closed form is given (a slide, an arm angle) where that answers, and seeds where the search
-    does. A target that more effort reaches and the study did not is a false negative; the rate that is seen has an upper bound
-    [Clopper and Pearson 1934]. A closed form that is given nothing knows no effort, and misses nothing.
+    Effort is positions of what the closed form is given (a slide, an arm angle) where that answers, seeds where the search
+    does, and rounds of the search for motions. A target that more effort reaches and the study did not is a false negative; the
+    rate that is seen has an upper bound [Clopper and Pearson 1934]. A closed form that is given nothing knows no effort, and
+    misses nothing.
     """
     study = store.study
     total = len(study.variants) * len(study.targets)
@@ -305,7 +318,8 @@ def rate_bound(missed: int, truth: int) -> float:
 
 def _given_names(study: Study, robot: Robot) -> tuple[str, ...]:
     """The names of what there may be more of: a search's seeds, the values that a closed form is given."""
-    return ("seed",) if study.method(robot) == "search" else redundancy(robot).names
+    once = {"search": ("seed",), "motion": ("round",)}
+    return once.get(study.method(robot)) or redundancy(robot).names
 
 
 def _again(study: Study, variant: Variant, rows: np.ndarray, method: str) -> list[np.ndarray]:
@@ -314,6 +328,9 @@ def _again(study: Study, variant: Variant, rows: np.ndarray, method: str) -> lis
     for effort in _efforts(study, method):
         if method == "closed form":
             changed = dataclasses.replace(changed, slides=effort)
+        elif study.motions is not None:
+            plan = dataclasses.replace(study.motions.plan, rounds=effort)
+            changed = dataclasses.replace(changed, motions=dataclasses.replace(study.motions, plan=plan))
         else:
             changed = dataclasses.replace(changed, ik=dataclasses.replace(study.ik, max_seeds=effort))
         reached.append(answer(changed, variant, slice(0, len(rows)))["reachable"])
@@ -321,7 +338,8 @@ def _again(study: Study, variant: Variant, rows: np.ndarray, method: str) -> lis
 
 
 def _efforts(study: Study, method: str) -> list[int]:
-    own = study.slides if method == "closed form" else study.ik.max_seeds
+    rounds = 0 if study.motions is None else study.motions.plan.rounds
+    own = {"closed form": study.slides, "search": study.ik.max_seeds, "motion": rounds}[method]
     return [max(1, round(effort * own)) for effort in EFFORTS[method]]
 
 

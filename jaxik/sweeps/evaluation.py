@@ -6,7 +6,6 @@ All that runs here is in the robot's base frame: targets and obstacles come to i
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -31,54 +30,20 @@ from jaxik.spatial.algebra import traced
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
-from jaxik.sweeps.robot_variants import Variant
+from jaxik.sweeps.columns import GIVEN, POSTURES, Columns, given_columns, padded
+from jaxik.sweeps.moving import moved
+from jaxik.sweeps.robot_variants import Variant, at_home
 from jaxik.sweeps.study import Study
-from jaxik.sweeps.targets import Targets
 
-GIVEN = ("position", "quaternion")  # columns that are the target's own, the same whatever it is asked of
 WORTH = ("q", "position_error", "rotation_error", "manipulability", "limit_margin")  # columns of a posture
 PORTION = 6000  # targets at a time whose colliding candidates stand in memory
 NEAR = 2  # postures of a target that collides on the grid beside which a clear one is looked for
 
 
-Columns = dict[str, np.ndarray]
-
-
-class Column(NamedTuple):
-    """One variable of the results: its type, what stands where there is no answer, and its words for the store."""
-
-    dtype: str
-    nothing: Any
-    attributes: dict[str, Any]
-    dims: tuple[str, ...] = ()
-
-
-def _column(dtype: str, nothing: Any, name: str, units: str | None = None, *dims: str, **more: Any) -> Column:
-    return Column(dtype, nothing, {"long_name": name, **({"units": units} if units else {}), **more}, dims)
-
-
-FREEDOM = "smallest distance of a revolute joint to its nearest limit, as a share of half its range (1: all in the middle)"
-REASONS = [*Reason][:6]  # others are of motions
-FLAGS: dict[str, Any] = {"flag_values": [*map(int, REASONS)], "flag_meanings": " ".join(r.name.lower() for r in REASONS)}
-COLUMNS = {
-    "position": _column("f8", np.nan, "where the tool goes", "m", "xyz"),
-    "quaternion": _column("f8", np.nan, "how the tool is turned there; NaN where its rotation is free", None, "wxyz"),
-    "reachable": _column("bool", False, "a posture inside the limits has the target and, where asked for, is clear"),
-    "reason": _column("i1", -1, "what became of the target", **FLAGS),
-    "proven": _column("bool", False, "reachable, or proven not to be for any position of the leading joints"),
-    "between": _column("bool", False, "found between the positions of the grid of leading joints, where the grid has none"),
-    "solutions": _column("i4", 0, "number of different postures found that are inside the limits and clear"),
-    "q": _column("f8", np.nan, "best posture", "rad, m for prismatic joints", "joint"),
-    "position_error": _column("f4", np.nan, "distance of the tip from the target at q", "m"),
-    "rotation_error": _column("f4", np.nan, "angle between the tip and the target at q", "rad"),
-    "clearance": _column("f4", np.nan, "smallest distance of the robot at q to the scene and to itself", "m"),
-    "manipulability": _column("f4", np.nan, "sqrt(det(J J')) at q [Yoshikawa 1985]", "m^3 rad^3, as the joints are"),
-    "limit_margin": _column("f4", np.nan, FREEDOM, "1"),
-}
-
-
 def answer(study: Study, variant: Variant, rows: slice) -> Columns:
     """The columns of some of the study's targets for one variant, one row a target."""
+    if study.motions is not None:
+        return moved(study, variant, rows)
     count, robot = rows.stop - rows.start, variant.robot
     base_T_world = np.linalg.inv(robot.world_T_base)
     base_T_frame = base_T_world if study.targets.frame == "world" else None
@@ -88,16 +53,9 @@ def answer(study: Study, variant: Variant, rows: slice) -> Columns:
         valid = fault == 0
     around = _Around.of(study, robot, rows, base_T_world) if study.collision else None
     solve = _closed_form if study.method(robot) == "closed form" else _search
-    found = given_columns(study.targets, rows) | solve(study, _at_home(robot), poses, valid, around)
-    found["q"] = np.pad(found["q"], ((0, 0), (0, study.joints - robot.num_joints)), constant_values=np.nan)
-    return {name: np.asarray(values, COLUMNS[name].dtype) for name, values in found.items()}
-
-
-def given_columns(targets: Targets, rows: slice) -> Columns:
-    """The columns `GIVEN` of some targets."""
-    numbers = np.arange(rows.start, rows.stop)
-    turned = np.full((len(numbers), 4), np.nan) if targets.free_rotation else targets.wxyz_at(numbers)
-    return dict(zip(GIVEN, (targets.positions_at(numbers), turned), strict=True))
+    found = given_columns(study.targets, rows) | solve(study, at_home(robot), poses, valid, around)
+    found["q"] = padded(found["q"], study.joints)
+    return {name: np.asarray(values, POSTURES[name].dtype) for name, values in found.items()}
 
 
 class _Around(NamedTuple):
@@ -154,12 +112,6 @@ def _seen_from(base_T_world: np.ndarray, scene: Scene, robot: Robot) -> Grouped:
         last.clear()
         last[base] = found
     return found
-
-
-@functools.lru_cache(maxsize=64)
-def _at_home(robot: Robot) -> Robot:
-    """The robot with its base in the world's origin."""
-    return robot.mounted(np.eye(4))
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -249,7 +201,7 @@ def _between(study: Study, robot: Robot, poses: np.ndarray, around: _Around | No
 def _no_answer(robot: Robot, count: int) -> Columns:
     """All columns but those of the targets."""
     rows = lambda column: (count, *(robot.num_joints for _ in column.dims))
-    return {name: np.full(rows(c), c.nothing, c.dtype) for name, c in COLUMNS.items() if name not in GIVEN}
+    return {name: np.full(rows(c), c.nothing, c.dtype) for name, c in POSTURES.items() if name not in GIVEN}
 
 
 @host_kernels(2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 from typing import Any
 
@@ -17,10 +18,18 @@ LENGTHS = ("length", "x", "y", "z")
 
 @dataclasses.dataclass(frozen=True)
 class Variant:
-    """One robot at one base pose and shape, with its index along the study's axes."""
+    """One robot at one base pose and shape, with its index along the study's axes; and where its motions start, if it is asked
+    for some that all start there."""
 
     robot: Robot
     index: tuple[int, ...]
+    start: tuple[float, ...] | None = None
+
+
+@functools.lru_cache(maxsize=64)
+def at_home(robot: Robot) -> Robot:
+    """The robot with its base in the world's origin."""
+    return robot.mounted(np.eye(4))
 
 
 def variant_name(index: tuple[int, ...]) -> str:

@@ -15,19 +15,25 @@ import tempfile
 import uuid
 import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxik.checks.options import optional, shown
-from jaxik.sweeps.evaluation import COLUMNS, GIVEN, REASONS, Column, Columns, given_columns
+from jaxik.sweeps.columns import GIVEN, REASONS, Column, Columns, columns_of, given_columns, sizes_of
+from jaxik.sweeps.postures import Postures
 from jaxik.sweeps.robot_variants import variant_name
 from jaxik.sweeps.study import Study
 
 UNFINISHED = -1
 CRC = Column("i8", UNFINISHED, {"long_name": f"CRC-32 of a finished chunk; {UNFINISHED} while it is not"})
+FRAMES = {
+    "base": "targets are base_T_tip",
+    "world": "targets are world_T_tip, the world's z up",
+    "joints": "targets are values of the joints",
+}
 LABELS = {"xyz": ("x", "y", "z"), "wxyz": ("w", "x", "y", "z")}
 
 
@@ -39,7 +45,7 @@ class Store:
     """One study's results in the folder `path`."""
 
     def __init__(self, path: Path, study: Study, group: Any):
-        self.path, self.study, self.group = path, study, group
+        self.path, self.study, self.group, self.columns = path, study, group, columns_of(study)
         self._array = functools.cache(lambda name: group[name])  # which reads its description again
 
     @staticmethod
@@ -75,21 +81,22 @@ class Store:
         variant, chunk, rows = self.study.work(number)
         for name, values in columns.items():  # those of the targets too: which variant's piece comes first is not known
             index = () if name in GIVEN else variant.index
-            if not _put(self.path / name, self._array(name), (*index, chunk), values, COLUMNS[name]):
+            if not _put(self.path / name, self._array(name), (*index, chunk), values, self.columns[name]):
                 self._array(name)[(*index, rows)] = values
-        at, summed = (*variant.index, chunk), check_sum(columns)
+        at, summed = (*variant.index, chunk), check_sum(columns, self.columns)
         if not _put(self.path / "crc", self._array("crc"), at, np.array([summed]), CRC):
             self._array("crc")[at] = summed
 
     def read(self, number: int) -> Columns:
         """A finished chunk. Raises `StoreError` where what is read is not what was written."""
         variant, chunk, rows = self.study.work(number)
-        columns = {name: self.column(number, name) for name in COLUMNS}
-        unwritten = [name for name in GIVEN if number >= self.study.chunks and np.isnan(columns[name]).all()]
+        columns = {name: self.column(number, name) for name in self.columns}
+        given = [name for name in GIVEN if name in self.columns]
+        unwritten = [name for name in given if number >= self.study.chunks and np.isnan(columns[name]).all()]
         if unwritten:  # a store begun when only the first variant's pieces wrote them
-            given = given_columns(self.study.targets, rows)
-            columns |= {name: given[name] for name in unwritten}
-        if check_sum(columns) != int(self.group["crc"][(*variant.index, chunk)]):
+            anew = given_columns(self.study.targets, rows)
+            columns |= {name: anew[name] for name in unwritten}
+        if check_sum(columns, self.columns) != int(self.group["crc"][(*variant.index, chunk)]):
             raise self._damage(number, "a file is missing or damaged (the check sum differs)")
         return columns
 
@@ -101,7 +108,7 @@ class Store:
             values = np.asarray(self.group[name][(*index, rows)])
         except Exception as error:  # each codec has its own
             raise self._damage(number, f"'{name}' is damaged ({' '.join(str(error).split())})") from None
-        if name == "reason" and np.any(values == COLUMNS[name].nothing):
+        if name == "reason" and np.any(values == self.columns[name].nothing):
             raise self._damage(number, f"the file of '{name}' is missing")
         return values
 
@@ -134,10 +141,10 @@ class Store:
         _consolidate(self.path)
 
 
-def check_sum(columns: Columns) -> int:
-    """CRC-32 of a chunk's numbers."""
+def check_sum(columns: Columns, names: Iterable[str]) -> int:
+    """CRC-32 of a chunk's numbers, in the order of the names."""
     found = 0
-    for name in COLUMNS:
+    for name in names:
         found = zlib.crc32(np.ascontiguousarray(columns[name]).data.cast("B"), found)
     return found
 
@@ -186,8 +193,8 @@ def _create(path: Path, study: Study) -> None:
         aside = Path(folder) / path.name
         group = zarr.create_group(str(aside), attributes=_attributes(study))
         axes = tuple(name for name, _ in study.axes)
-        sizes = {"joint": study.joints, "xyz": 3, "wxyz": 4}
-        for name, column in COLUMNS.items():
+        sizes = sizes_of(study)
+        for name, column in columns_of(study).items():
             own = () if name in GIVEN else axes
             more = tuple(sizes[d] for d in column.dims)
             shape = (*(study.shape if own else ()), len(study.targets), *more)
@@ -230,10 +237,10 @@ def _attributes(study: Study) -> dict[str, Any]:
     return {
         "title": study.name,
         "study": json.dumps(known),
-        "frame": "targets are base_T_tip" if study.targets.frame == "base" else "targets are world_T_tip, the world's z up",
+        "frame": FRAMES[study.targets.frame],
         "quaternion_order": "wxyz",
         "units": "m, rad",
-        "coordinates": " ".join(GIVEN),
+        **({} if isinstance(study.targets, Postures) else {"coordinates": " ".join(GIVEN)}),
         "mounts": {variant_name(v.index): np.asarray(v.robot.world_T_base).tolist() for v in study.variants},
         "methods": sorted({study.method(v.robot) for v in study.variants}),
         "joint_names": {str(v.robot.name): list(v.robot.joint_names) for v in study.variants},

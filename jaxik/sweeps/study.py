@@ -33,6 +33,9 @@ from jaxik.reach.grasp import Grasp
 from jaxik.reach.scoring import PostureOptions
 from jaxik.spatial.rotations import frame, from_rpy
 from jaxik.sweeps import targets as sources
+from jaxik.sweeps.motions import Motions, from_starts, read_motions
+from jaxik.sweeps.postures import KINDS as POSTURES
+from jaxik.sweeps.postures import read_postures
 from jaxik.sweeps.robot_variants import Variant, all_variants, read_shapes, variant_name
 from jaxik.sweeps.targets import Targets
 from jaxik.version import __version__
@@ -40,7 +43,7 @@ from jaxik.version import __version__
 Made = TypeVar("Made")
 KEYS = (
     *("name", "robot", "robots", "base", "parameters", "collision", "tool", "targets", "ik"),
-    *("seed", "slides", "refine", "chunk", "audited", "origin", "ignore"),
+    *("seed", "slides", "refine", "chunk", "audited", "origin", "ignore", "motions"),
 )
 OWN = ("name", "collision", *fields(PostureOptions), "slides", "refine", "seed", "chunk", "audited")  # described as they are
 IK_KEYS = ("max_seeds", "choice", "seeds", "solutions")
@@ -65,6 +68,12 @@ class Study(PostureOptions, who="study"):
     audited: int = count(default=2000, least=0, words="targets that are asked again, more densely, for what was missed")
     seed: int = count(default=0, least=0, words="of searches and of the audit")
     ik: IKOptions = instance(default=IKOptions(), kind=IKOptions, words="how targets are searched for without a closed form")
+    motions: Motions | None = instance(
+        default=None,
+        kind=Motions,
+        optional=True,
+        words="how motions to the targets are planned, unless postures are asked for",
+    )
 
     @staticmethod
     def of(source: Study | str | Path | Mapping[str, Any], **changes: Any) -> Study:
@@ -114,11 +123,14 @@ class Study(PostureOptions, who="study"):
             "scenes": [_digest(s) for s in self.targets.scenes] if self.collision else [],
             **{name: getattr(self, name) for name in OWN},
             "ik": {name: getattr(self.ik, name) for name in (*IK_KEYS, *TOLERANCES)},
+            **({} if self.motions is None else {"motions": self.motions.describe()}),
             "versions": {"jaxik": __version__, "jax": jax.__version__, "numpy": np.__version__},
         }
 
     def method(self, robot: Robot) -> str:
-        """How a robot's targets are answered: "closed form" or "search"."""
+        """How a robot's targets are answered: "closed form", "search" or "motion"."""
+        if self.motions is not None:
+            return "motion"
         return "search" if scan_obstacle(robot) or self.targets.free_rotation else "closed form"
 
 
@@ -142,7 +154,8 @@ def _read(table: Table, folder: Path) -> Study:
     bases, shapes = _bases(table), read_shapes(table)
     axes, variants = all_variants(table, robots, bases, shapes)
     scene, wanted = _collision(table, folder)
-    collision = "collision" in given
+    moving = "motions" in given
+    collision = moving or "collision" in given
     tool = table.table("tool")
     held = {name: tuple(tool.array(name, "plain", (3,), usual).tolist()) for name, usual in vars(Grasp()).items()}
     grasp = _made(tool, "change them", Grasp, **held)
@@ -153,14 +166,19 @@ def _read(table: Table, folder: Path) -> Study:
         raise table.fail("[tool] turns the tool into a direction, and no target has a direction", "leave it out")
     ik = _ik(table, targets, wanted["margin"] if collision else None)
     least = {"slides": 1, "chunk": 1, "refine": 0, "audited": 0, "seed": 0}
-    counts = {key: table.count(key, getattr(Study, key), least=few) for key, few in least.items()}
+    usual = {key: 0 if moving and key == "audited" else getattr(Study, key) for key in least}
+    counts = {key: table.count(key, usual[key], least=few) for key, few in least.items()}
+    robots_of = [v.robot for v in variants]
+    motions = read_motions(table, robots_of, targets, ik.task, wanted["margin"]) if moving else None
+    if motions is not None:
+        axes, variants = from_starts(motions, axes, variants)
     name = table.text("name", "sweep")
     table.close()
     for variant in variants if collision else ():
         mend = "write {file = ..., meshes = true}" if variant.robot.unread_meshes else "or leave [collision] out"
         _made(table.table("collision"), mend, check_geometry, variant.robot)
     own: dict[str, Any] = {"variants": variants, "axes": axes, "targets": targets, "scene": scene, "collision": collision}
-    return Study(name=name, ik=ik, **own | wanted | counts)
+    return Study(name=name, ik=ik, motions=motions, **own | wanted | counts)
 
 
 def _made(row: Table, mend: str, make: Callable[..., Made], *given: Any, **named: Any) -> Made:
@@ -259,7 +277,12 @@ def _ik(table: Table, targets: Targets, margin: float | None) -> IKOptions:
 
 def _targets(table: Table, folder: Path, robots: list[Robot], scene: Scene | None, grasp: Grasp) -> Targets:
     row = table.table("targets")
-    kind = row.text("kind", "file" if "poses" in row.content else "grid", sources.KINDS)
+    usual = next((kind for key, kind in (("poses", "file"), ("goals", "postures")) if key in row.content), "grid")
+    kind = row.text("kind", usual, (*sources.KINDS, *POSTURES))
+    if kind in POSTURES:
+        if "motions" not in table.content:
+            raise row.fail(f"kind = '{kind}': postures are goals of motions", "write [motions]")
+        return read_postures(row, folder, kind, robots)
     frame = row.text("frame", "world", ("world", "base"))
     if kind == "file":
         targets = _given_targets(row, folder, frame, grasp)

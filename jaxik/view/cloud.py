@@ -19,7 +19,8 @@ from jaxik.view.sweep_picture import Map, base_frame, categories, is_in_base, op
 
 SHOWN = 200_000  # points of a cloud that a browser still turns smoothly
 KINDS = "what became of it"
-COLUMNS = {"share of directions": 1.0, "limit margin": 1.0, "clearance [mm]": 1000.0, "solutions": 1.0}  # by which they grow
+SHARE = "share of directions"
+COLUMNS = {SHARE: 1.0, "limit margin": 1.0, "clearance [mm]": 1000.0, "solutions": 1.0}  # by which they grow
 FAINT = 0.6  # how large the points are that are not reachable
 
 
@@ -37,11 +38,12 @@ class Cloud:
         self.indices = {
             variant_label(group, index) or "the only one": index for index in np.ndindex(*group["reason"].shape[:-1])
         }
+        told = [what for what in COLUMNS if what == SHARE or _name(what) in group]
         gui = self.server.gui
         self.legend = gui.add_html("")
         self.visible = gui.add_checkbox("show the map", True)
         self.variant = gui.add_dropdown("variant", list(self.indices), visible=len(self.indices) > 1)
-        self.colour = gui.add_dropdown("colour by", (KINDS, *COLUMNS))
+        self.colour = gui.add_dropdown("colour by", (KINDS, *told))
         self.rest = gui.add_dropdown("not reachable", ("hidden", "faint"))
         spans = zip("xyz", *self._span(), strict=True)
         self.cuts = [gui.add_multi_slider(f"{axis} [m]", low, high, 0.001, (low, high)) for axis, low, high in spans]
@@ -108,7 +110,7 @@ class Cloud:
             away = ["", "", *[", hidden" if self.rest.value == "hidden" else ""] * (len(kinds) - 2)]
             rows = zip(kinds, counts, away, strict=True)
             return table[found], swatches({f"{words} ({n:,}{hidden})": c for (words, c), n, hidden in rows if n})
-        values = shown.share if what == "share of directions" else self._best(what, index)
+        values = shown.share if what == SHARE else self._best(what, index)
         some = values[inside & np.isfinite(values)]
         low, high = (float(some.min()), float(some.max())) if len(some) else (0.0, 1.0)
         scale = matplotlib.colormaps[SCALE]
@@ -118,8 +120,7 @@ class Cloud:
 
     def _best(self, what: str, index: tuple[int, ...]) -> np.ndarray:
         """The largest value at each position, minus infinity where there is none."""
-        name = what.removesuffix(" [mm]").replace(" ", "_")
-        every = COLUMNS[what] * np.asarray(self.group[name][(*index, slice(None))], float).reshape(-1, self.turns)
+        every = COLUMNS[what] * np.asarray(self.group[_name(what)][(*index, slice(None))], float).reshape(-1, self.turns)
         return np.where(np.isfinite(every), every, -np.inf).max(axis=1)
 
     def _clicked(self, event: Any) -> None:
@@ -150,6 +151,11 @@ def store_of(robot: Robot, store: str | Path) -> Any:
     known = f"another {robot.name}, whose postures do not fit"
     held = known if robot.name in names else f"{', '.join(names)}, not {robot.name}"
     raise ValueError(f"{store}: holds {held}; view the robot (file and tip) that was swept")
+
+
+def _name(what: str) -> str:
+    """The store's column of what points are coloured by."""
+    return what.removesuffix(" [mm]").replace(" ", "_")
 
 
 def _is_of(group: Any, index: tuple[int, ...], robot: Robot) -> bool:

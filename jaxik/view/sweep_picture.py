@@ -23,22 +23,27 @@ VARIANTS = 20  # bars
 
 class Map(NamedTuple):
     """One variant of a store: positions (p, 3) [m], the share (p,) of each one's tool directions that are reachable, and of all
-    targets the reason and the limit margin."""
+    targets the reason and the limit margin, or the `duration` of motions [s]."""
 
     positions: np.ndarray
     share: np.ndarray
     reason: np.ndarray
     margin: np.ndarray
     axes: tuple[np.ndarray, ...]
+    duration: np.ndarray | None = None
 
 
 def open_store(path: str | Path) -> Any:
-    """The Zarr group of a sweep. Raises `ValueError` where there is none."""
-    zarr = optional("a sweep's store", "zarr", "sweep")
+    """The Zarr group of a sweep. Raises `ValueError` where there is none, or one whose targets are no places."""
+    zarr, found = optional("a sweep's store", "zarr", "sweep"), None
     with contextlib.suppress(OSError, ValueError):
         group = zarr.open_group(str(path), mode="r")
         if "reason" in group:
-            return group
+            found = group
+    if found is not None and "position" in found:
+        return found
+    if found is not None:
+        raise ValueError(f"{path}: its targets are postures, which are no places to show; take a store of poses")
     raise ValueError(f"{path}: is no store of a sweep; make one with `jaxik sweep STUDY.toml`")
 
 
@@ -81,7 +86,9 @@ def variant_map(group: Any, index: tuple[int, ...]) -> Map:
     turns, read = int(group.attrs["targets_per_position"]), lambda name: np.asarray(group[name][(*index, slice(None))])
     positions, axes = np.asarray(group["position"][::turns]), tuple(np.array(a) for a in group.attrs["grid"])
     share = read("reachable").reshape(-1, turns).mean(axis=1)
-    return Map(positions, share, read("reason"), read("limit_margin"), axes)
+    timed = "duration" in group
+    margin = np.full(share.size * turns, np.nan) if timed else read("limit_margin")
+    return Map(positions, share, read("reason"), margin, axes, read("duration") if timed else None)
 
 
 def plot_sweep(store: str | Path, path: str | Path, *, scene: Scene | None = None) -> None:
@@ -105,9 +112,7 @@ def plot_sweep(store: str | Path, path: str | Path, *, scene: Scene | None = Non
     if every.size > 1:
         _draw_variants(axes[-1], group, every)
     else:
-        axes[-1].hist(shown.margin[np.isfinite(shown.margin)], bins=40, color=GOOD)
-        title = "How far the joints stay from their limits"
-        axes[-1].set(title=title, xlabel="0: at a limit; 1: in the middle", ylabel="targets")
+        _draw_values(axes[-1], shown)
     for axis in axes:
         axis.spines[["top", "right"]].set_visible(False)
     reached = f"the arm reaches {np.mean(shown.reason == Reason.SOLVED):.1%} of {len(shown.reason):,} targets"
@@ -198,6 +203,17 @@ def _draw_reasons(axis: Any, shown: Map) -> None:
     axis.set_xticks([tick for tick in axis.get_xticks() if tick <= 100.0])
 
 
+def _draw_values(axis: Any, shown: Map) -> None:
+    """How free the postures are, or how long the motions take."""
+    values = shown.margin if shown.duration is None else shown.duration
+    axis.hist(values[np.isfinite(values)], bins=40, color=GOOD)
+    if shown.duration is None:
+        title, along = "How far the joints stay from their limits", "0: at a limit; 1: in the middle"
+    else:
+        title, along = "How long the motions take", "duration [s]"
+    axis.set(title=title, xlabel=along, ylabel="targets")
+
+
 def _draw_missed(axis: Any, audit: dict[str, Any]) -> None:
     """How many reachable targets are missed, by how much is looked at alone; and how many this sweep misses."""
     for (method, found), style in zip(audit.items(), ("o-", "s--"), strict=False):
@@ -216,7 +232,8 @@ def _draw_missed(axis: Any, audit: dict[str, Any]) -> None:
 
 def _effort(found: dict[str, Any]) -> str:
     """The further effort of an audit."""
-    return "seeds" if found["effort"] == "max_seeds" else f"positions of {' and '.join(found.get('of', ['the slide']))}"
+    counted = {"max_seeds": "seeds", "rounds": "rounds of the search"}
+    return counted.get(found["effort"]) or f"positions of {' and '.join(found.get('of', ['the slide']))}"
 
 
 def _draw_variants(axis: Any, group: Any, every: np.ndarray) -> None:

@@ -1,0 +1,114 @@
+"""Motions as what a study asks for: from which starts, planned how, and what is kept of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from jaxik.files.robot_toml import Table
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import Task
+from jaxik.options import Options, anything, count, instance
+from jaxik.planning.limits import motion_limits
+from jaxik.planning.planner import PlanOptions
+from jaxik.sweeps.postures import Postures
+from jaxik.sweeps.robot_variants import Variant
+from jaxik.sweeps.targets import Targets
+
+Axes = tuple[tuple[str, tuple[Any, ...]], ...]
+COUNTS, PER_JOINT = ("rounds", "postures"), ("velocity", "acceleration")  # of `PlanOptions`; what the clock decides is not
+SEARCHED = ("slides", "refine", "ik")  # keys of a study that motions know nothing of
+
+
+class Motions(Options, who="study"):
+    """The motions of a study: how they are planned, and what is stored of each besides its reason, duration and length."""
+
+    starts: tuple[tuple[str, tuple[float, ...]], ...] = anything(default=(), words="postures to go from, each by its name")
+    waypoints: int = count(default=16, least=0, words="most waypoints that are stored of a motion; 0 stores none")
+    samples: int = count(default=0, least=0, words="samples of the timed motion, at equal times; 0 stores none")
+    plan: PlanOptions = instance(default=PlanOptions(), kind=PlanOptions, words="how they are planned")
+
+    def describe(self) -> dict[str, Any]:
+        """All that the motions depend on, as JSON holds it."""
+        kept = {name: getattr(self, name) for name in ("waypoints", "samples")}
+        plan = {name: getattr(self.plan, name) for name in (*COUNTS, *PER_JOINT)}
+        return {"starts": {name: list(q) for name, q in self.starts}} | kept | plan
+
+
+def read_motions(table: Table, robots: list[Robot], targets: Targets, task: Task, margin: float) -> Motions:
+    """The motions of a study's table. Raises `LoadError` for what cannot be meant."""
+    row = table.table("motions")
+    for key in sorted({*SEARCHED} & set(table.content)):
+        raise row.fail(f"'{key}' is of a search for postures", "leave it out")
+    posture_only = set(table.content.get("collision", {})) & {"clearance_weight", "freedom_weight", "reach"}
+    for key in sorted(posture_only):
+        raise row.fail(f"[collision] {key} tells which posture is the best", "leave it out")
+    starts, theirs = _starts(row, robots), targets.starts if isinstance(targets, Postures) else None
+    if starts and theirs is not None:
+        raise row.fail("start, and the targets have starts", "keep one")
+    if not starts and theirs is None and targets.kind != "random":
+        raise row.fail("no start", "write start = [...], a number a joint [rad, m]")
+    counts = {name: row.count(name, getattr(PlanOptions, name)) for name in COUNTS}
+    kept = {name: row.count(name, getattr(Motions, name), least=0) for name in ("waypoints", "samples")}
+    if kept["waypoints"] == 1 or kept["samples"] == 1:
+        raise row.fail("one point is no motion", "write 2 or more, or 0 for none")
+    plan = _checked(row, robots, task=task, margin=margin, **counts, **_limits(row))
+    return Motions(starts=starts, plan=plan, **kept)
+
+
+def _starts(row: Table, robots: list[Robot]) -> tuple[tuple[str, tuple[float, ...]], ...]:
+    """The named starts: one posture, several, or a table of them."""
+    row.asked.add("start")
+    given = row.content.get("start")
+    if given is None:
+        return ()
+    if isinstance(given, dict):
+        named = row.table("start")
+        found = [(name, named.array(name, "plain", (-1,))) for name in given]
+    else:
+        several = isinstance(given, list | tuple | np.ndarray) and len(given) > 0 and np.ndim(given[0]) > 0
+        postures = row.array("start", "plain", (-1, -1)) if several else row.array("start", "plain", (-1,))[None]
+        found = [(f"start {i}", q) for i, q in enumerate(postures, 1)]
+    for name, q in found:
+        for robot in robots:
+            if len(q) != robot.num_joints:
+                joints = f"{robot.num_joints}: {', '.join(robot.joint_names)}"
+                raise row.fail(f"{name} has {len(q)} numbers; {robot.name} has {joints}", "write one a joint [rad, m]")
+        over = [np.max(np.maximum(robot.lower - q, q - robot.upper)) for robot in robots]
+        if not min(over) <= 1e-6:
+            raise row.fail(f"{name} is {min(over):.3g} rad or m beyond a joint's limit", "write one inside of them")
+    return tuple((name, tuple(q.tolist())) for name, q in found)
+
+
+def _limits(row: Table) -> dict[str, Any]:
+    """The limits of velocity and acceleration that are given, one number or one a joint."""
+    found = {}
+    for name in (name for name in PER_JOINT if name in row.content):
+        each = isinstance(row.content[name], list | tuple | np.ndarray)
+        values = row.finite(name, (-1,) if each else ())
+        found[name] = tuple(values.tolist()) if each else float(values)
+    row.asked.update(PER_JOINT)
+    return found
+
+
+def _checked(row: Table, robots: list[Robot], **options: Any) -> PlanOptions:
+    """The planner's options, which every robot can keep."""
+    try:
+        plan = PlanOptions(**options)
+        for robot in robots:
+            motion_limits("motions", robot, plan.velocity, plan.acceleration, (robot.num_joints,))
+    except ValueError as error:
+        raise row.fail(str(error), "change it") from None
+    return plan
+
+
+def from_starts(motions: Motions, axes: Axes, variants: tuple[Variant, ...]) -> tuple[Axes, tuple[Variant, ...]]:
+    """The variants from each of the starts; one start is no axis."""
+    if not motions.starts:
+        return axes, variants
+    several = len(motions.starts) > 1
+    each = lambda v, i, q: dataclasses.replace(v, index=(*v.index, i) if several else v.index, start=q)
+    found = tuple(each(v, i, q) for v in variants for i, (_, q) in enumerate(motions.starts))
+    return (*axes, ("start", tuple(name for name, _ in motions.starts))) if several else axes, found
