@@ -347,7 +347,8 @@ def motions(count: int = 10_000, rounds: int = 3) -> dict[str, Any]:
         "the same, 64 samples": {"motions": {"samples": 64}, "targets": {"kind": "random", "count": count}},
         "to poses": {"motions": {"start": home}, "targets": {"kind": "grid"} | grid},
     }
-    return {name: _motions(top | study, rounds) for name, study in studies.items()}
+    known = {key: machine()[key] for key in ("cpu", "cores", "python", "jaxik", "jax")}
+    return {"machine": known, "studies": {name: _motions(top | study, rounds) for name, study in studies.items()}}
 
 
 def _clocked(clocks: list[tuple[float, float]], call: Any) -> Any:

@@ -229,8 +229,21 @@ def sweep_markdown(result: dict[str, Any]) -> str:
         f"Killed {kills} times at random moments, a store ends with the same bits. With {ends('obstacles')};",
         f"with {ends('spheres')}.",
     ]
-    lines += _between_rows(result["between"])
+    lines += _between_rows(result["between"]) + _motion_rows(result["motions"])
     return "\n".join(lines)
+
+
+def _motion_rows(found: dict[str, Any]) -> list[str]:
+    """The rows of sweeps of motions, beside the planner alone."""
+    where = f"{found['machine']['cores']} core(s) of an {found['machine']['cpu']}; CPU time:"
+    lines = ["", f"Motions of a Panda in a generated cell, {where}", ""]
+    lines.append("| motions | searched for | solved | an hour | each | `plan_motion` alone | bytes stored |")
+    lines.append("| --- | --- | --- | --- | --- | --- | --- |")
+    for name, row in found["studies"].items():
+        counts = f"{row['motions']:,} {name} | {row['searched']:,} | {row['counts']['solved']:,} | {row['an_hour']:,.0f}"
+        times = f"{row['cpu_ms_each']:.2f} ms | {row['alone_cpu_ms_each']:.2f} ms"
+        lines.append(f"| {counts} | {times} | {row['bytes_each']:,.0f} |")
+    return lines
 
 
 def base_markdown(result: dict[str, Any]) -> str:

@@ -1,4 +1,5 @@
-"""Where can this arm reach, from which base, and why not elsewhere: millions of targets into a store that is never lost."""
+"""Where can this arm reach, from which base, and why not elsewhere: millions of targets, or motions, into a store that is never
+lost."""
 
 from jaxik.sweeps.driver import SweepResult, sweep
 from jaxik.sweeps.study import Study

@@ -1,4 +1,5 @@
-"""A study: which robots, from which bases and of which shapes, are asked for which targets, among what.
+"""A study: which robots, from which bases and of which shapes, are asked for postures at, or motions to, which targets, and
+among what.
 
 Written as TOML (`docs/how-to/reach-map.md` lists the keys), or as the same nested dictionaries in Python, where a robot may be
 a `Robot`, a scene a `Scene`, and the targets an array of poses. It is read and checked key by key.

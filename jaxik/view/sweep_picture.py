@@ -105,14 +105,15 @@ def plot_sweep(store: str | Path, path: str | Path, *, scene: Scene | None = Non
     head, above, legend, below = figure.subfigures(4, 1, height_ratios=(0.07, 1.0, 0.08, 0.9))
     handles = _draw_slices(above, group, shown, best, scene)
     legend.legend(handles=handles, loc="center", ncols=len(handles), frameon=False)
-    axes = below.subplots(1, 3 if audit else 2)
+    timed = shown.duration is not None
+    axes = below.subplots(1, 2 + bool(audit) + (timed and every.size > 1))
     _draw_reasons(axes[0], shown)
     if audit:
         _draw_missed(axes[1], audit)
     if every.size > 1:
         _draw_variants(axes[-1], group, every)
-    else:
-        _draw_values(axes[-1], shown)
+    if every.size == 1 or timed:
+        _draw_values(axes[-1 if every.size == 1 else -2], shown)
     for axis in axes:
         axis.spines[["top", "right"]].set_visible(False)
     reached = f"the arm reaches {np.mean(shown.reason == Reason.SOLVED):.1%} of {len(shown.reason):,} targets"
@@ -124,7 +125,7 @@ def plot_sweep(store: str | Path, path: str | Path, *, scene: Scene | None = Non
 def categories(shown: Map) -> tuple[np.ndarray, list[tuple[str, str]]]:
     """The fate of each position, (p,) numbers into a list of words and colours: reachable from every direction, from some,
     or else the reason that is nearest to an answer; -1 where nothing is known yet."""
-    reasons = [r for r in COLOURS if r != Reason.SOLVED]
+    reasons, words = [r for r in COLOURS if r != Reason.SOLVED], _words(shown)
     found = np.full(len(shown.positions), -1)
     turns = shown.reason.reshape(len(found), -1)
     whole = WORDS[Reason.SOLVED] if turns.shape[1] == 1 else "reachable from every direction"
@@ -133,7 +134,12 @@ def categories(shown: Map) -> tuple[np.ndarray, list[tuple[str, str]]]:
         found[(turns == reason).any(axis=1)] = k
     found[shown.share > 0.0] = 1
     found[shown.share == 1.0] = 0
-    return found, [*kinds, *((WORDS[r], COLOURS[r]) for r in reasons)]
+    return found, [*kinds, *((words[r], COLOURS[r]) for r in reasons)]
+
+
+def _words(shown: Map) -> dict[Reason, str]:
+    """The words for the reasons of postures, or of motions."""
+    return WORDS if shown.duration is None else WORDS | {Reason.NOT_CONVERGED: "no motion found"}
 
 
 def _draw_slices(figure: Any, group: Any, shown: Map, index: tuple[int, ...], scene: Scene | None) -> list[Any]:
@@ -197,7 +203,8 @@ def _draw_surroundings(axis: Any, scene: Scene | None, mount: np.ndarray, i: int
 def _draw_reasons(axis: Any, shown: Map) -> None:
     found = {r: float(np.mean(shown.reason == r)) for r in reversed(COLOURS) if (shown.reason == r).any()}
     percent = [100.0 * share for share in found.values()]
-    bars = axis.barh([WORDS[r] for r in found], percent, color=[COLOURS[r] for r in found], ec="0.6")
+    words = _words(shown)
+    bars = axis.barh([words[r] for r in found], percent, color=[COLOURS[r] for r in found], ec="0.6")
     axis.bar_label(bars, [f" {share:.1%} ({round(share * len(shown.reason)):,})" for share in found.values()])
     axis.set(title="What became of the targets", xlabel="targets [%]", xlim=(0.0, 1.35 * max(percent, default=1.0)))
     axis.set_xticks([tick for tick in axis.get_xticks() if tick <= 100.0])
