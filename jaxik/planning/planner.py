@@ -19,7 +19,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
 from jaxik.options import Options, count, instance, number, per_joint
 from jaxik.planning.collision_checker import CollisionChecker, judged
-from jaxik.planning.limits import Limits, motion_limits
+from jaxik.planning.limits import Limits, limit_of, motion_limits
 from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory, padded
 from jaxik.planning.ways import LOOKS, Found, blended, proven_ways
@@ -49,6 +49,9 @@ class PlanOptions(Options, who="plan_motion"):
         unit="rad/s2, m/s2",
         words="limits of acceleration, one number or one a joint; None is four times the velocity a second",
     )
+    jerk: Any = per_joint(
+        default=None, unit="rad/s3, m/s3", words="limits of jerk, one number or one a joint; None is no limit"
+    )
     rounds: int = count(
         default=50_000,
         words="edges that the search tries at most; after 20 and 50 % of them it looks closer, with finer samples",
@@ -62,7 +65,9 @@ class PlanOptions(Options, who="plan_motion"):
     )
     task: Task = instance(default=POSE, kind=Task, words="what a pose as the goal binds")
     postures: int = count(default=8, words="different postures of a pose among which the search may choose, the soonest ones")
-    places: int = count(default=128, words="number of places at which the speed is chosen (`time_path`)")
+    places: int = count(
+        default=128, words="number of places at which the speed is chosen (`time_path`), twice as many within a jerk limit"
+    )
 
 
 class PlanResult(Result):
@@ -96,7 +101,8 @@ def plan_motion(
     **changes: Any,
 ) -> PlanResult:
     """A motion from `start` (n,) to `goal`, at rest at both, that keeps the margin to the scene and to the robot itself on its
-    whole way, not at samples, and the limits of position, velocity and acceleration. Host driver.
+    whole way, not at samples, and the limits of position, velocity and acceleration, and of `jerk`, where there is one. Host
+    driver.
 
     `goal` is a configuration (n,), several (g, n), of which the one that is reached soonest is taken, as far as as much search
     again as for the first one tells, or a pose `base_T_tip` (4, 4) [m], for which `solve_ik` finds postures, and of which the
@@ -140,6 +146,7 @@ def _planned(
 ) -> PlanResult:
     """Plans each of the problems, of which what all have in common is asked once: postures, straight lines, the timing."""
     limits = motion_limits("plan_motion", robot, options.velocity, options.acceleration, (robot.num_joints,))
+    jerk = None if options.jerk is None else limit_of("plan_motion", "jerk", options.jerk, (robot.num_joints,))
     starts, goals, reason = asked.starts, asked.goals, np.zeros(len(asked.starts), int)
     if asked.poses is None:
         goals = turned(robot, starts, goals)
@@ -165,7 +172,8 @@ def _planned(
     for i, way in zip(rows.tolist(), found.ways, strict=True):
         ways[i], reason[i] = way, int(Reason.NOT_CONVERGED if way is None else Reason.SOLVED)
     tell(total, total)
-    timed = iter(_timed(robot, _rounded(space, [way for way in ways if way is not None]), limits, options.places))
+    paths = _rounded(space, [way for way in ways if way is not None], smooth=jerk is not None)
+    timed = iter(_timed(robot, paths, limits, jerk, options.places))
     trajectories = tuple(None if way is None else next(timed) for way in ways)
     return PlanResult(reason, tuple(where), tuple(ways), trajectories, rounds, checked)
 
@@ -228,17 +236,20 @@ def _searched(
     return found
 
 
-def _rounded(space: CollisionChecker, ways: list[np.ndarray]) -> list[JointPath]:
-    """Rounds the corners of ways; each path has a power of two of pieces, so that programs are few."""
+def _rounded(space: CollisionChecker, ways: list[np.ndarray], smooth: bool) -> list[JointPath]:
+    """Rounds the corners of ways, `smooth` with a continuous second derivative; each path has a power of two of pieces, so that
+    programs are few."""
     moves = [i for i, way in enumerate(ways) if (way[1:] != way[:-1]).any()]
     paths = {i: JointPath.polyline(way) for i, way in enumerate(ways) if i not in moves}
     if moves:
-        paths |= dict(zip(moves, blended(space, [ways[i] for i in moves]), strict=True))
+        paths |= dict(zip(moves, blended(space, [ways[i] for i in moves], smooth), strict=True))
     return [padded(paths[i], 2 ** max(2, int(np.ceil(np.log2(len(paths[i].lengths)))))) for i in range(len(ways))]
 
 
-def _timed(robot: Robot, paths: list[JointPath], limits: Limits, places: int) -> list[Trajectory]:
-    """Times the paths, those of as many pieces together."""
+def _timed(robot: Robot, paths: list[JointPath], limits: Limits, jerk: np.ndarray | None, places: int) -> list[Trajectory]:
+    """Times the paths, those of as many pieces together; one by one within a limit of the jerk, as moments differ in number."""
+    if jerk is not None:
+        return [time_path(path, **limits._asdict(), jerk=jerk, places=2 * places, robot=robot) for path in paths]
     timed: dict[int, Trajectory] = {}
     pieces = np.array([len(path.lengths) for path in paths], int)
     for size in np.unique(pieces):

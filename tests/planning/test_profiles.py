@@ -150,7 +150,7 @@ LINE, STEADY = [[0.0], [1.0]], (1.0, 1.0)
         ("trapezoidal", LINE, STEADY, {"duration": 0.0}, "duration is 0.0; allowed: one number .s., above zero"),
         ("trapezoidal", LINE, STEADY, {"duration": [9.0]}, r"duration is .9.0.; allowed: one number .s., above zero"),
         ("quintic", [LINE] * 2, STEADY, {"duration": [9.0, 1.0]}, "duration 1 s of row 1; these limits take"),
-        ("trapezoidal", LINE, (*STEADY, 1.0), {}, "profile 'trapezoidal' has no jerk; .* one of 's_curve', 'quintic'"),
+        ("trapezoidal", LINE, (*STEADY, 1.0), {}, "profile 'trapezoidal' has no jerk; .* one of 'fastest', 's_curve', 'quintic'"),
         ("fastest", LINE, STEADY, {"duration": 9.0}, "profile 'fastest' has no duration"),
         ("quintic", LINE, STEADY, {"torque": 9.0}, "profile 'quintic' has no torque; .* one of 'fastest'"),
         ("quintic", JointPath.polyline(LINE), STEADY, {}, "profile 'quintic' is of waypoints .k, n.; a JointPath is timed by"),
