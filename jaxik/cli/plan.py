@@ -16,7 +16,15 @@ from jaxik.planning import PlanOptions, PlanResult
 from jaxik.planning.trajectory_files import ENDINGS
 from jaxik.reasons import Reason
 
-FLAGS = flags(PlanOptions, margin=float, velocity=float | None, acceleration=float | None, rounds=int, timeout=float | None)
+FLAGS = flags(
+    PlanOptions,
+    margin=float,
+    velocity=float | None,
+    acceleration=float | None,
+    jerk=float | None,
+    rounds=int,
+    timeout=float | None,
+)
 
 
 @dataclasses.dataclass(kw_only=True)

@@ -20,95 +20,106 @@ from typing import NamedTuple
 
 import numpy as np
 
-ROOM = 1.03  # of the limits at the first iterate, to be inside
-WORTH = 3e-3  # of the time, to which the least one is found
+ROOM = 1.06  # of the limits at the first iterate, to be inside
+NEARER = 0.05  # of the gap at first, where the first iterate is near the last one
+WORTH = 1e-2  # of the time, to which the least one is found: nearer to it, jerk jumps from limit to limit between two nodes
 MOST = 40  # steps
 NEAR = 0.97  # of the way to the nearest limit that a step goes
 
 
 class Rows(NamedTuple):
-    """Limits `(before, here, after) . (b of the node before, b, b of the node after) <= right` (m, k) at k nodes; the right
-    side is 1 of the first `linear` ones, and 1 / sqrt(b) of the others."""
+    """Limits of both sides, x, of r quantities at k nodes, each linear in b there and at its two neighbours:
+
+        +-(before[i] b[i-1] + after[i] b[i+1]) + here[x, :, i] b[i] <= right[x, :, i]
+
+    with before, after (r, k), here (2, r, k), right (2, r', k) of the first r' quantities, and 1 / sqrt(b) of the others."""
 
     before: np.ndarray
     here: np.ndarray
     after: np.ndarray
-    linear: int
+    right: np.ndarray
 
     def times(self, x: np.ndarray, here: np.ndarray) -> np.ndarray:
-        """The left sides (m, k) of x (k,)."""
-        found = here * x
-        found[:, 1:] += self.before[:, 1:] * x[:-1]
-        found[:, :-1] += self.after[:, :-1] * x[1:]
+        """The left sides (2, r, k) of x (k,)."""
+        found, beside = here * x, np.empty_like(self.before)
+        beside[:, 0] = 0.0
+        np.multiply(self.before[:, 1:], x[:-1], out=beside[:, 1:])
+        beside[:, :-1] += self.after[:, :-1] * x[1:]
+        found[0] += beside
+        found[1] -= beside
         return found
 
     def gathered(self, y: np.ndarray, here: np.ndarray) -> np.ndarray:
-        """The sums (k,) of rows by y (m, k): the transposed of `times`."""
-        found = np.einsum("mk,mk->k", here, y)
-        found[:-1] += np.einsum("mk,mk->k", self.before, y)[1:]
-        found[1:] += np.einsum("mk,mk->k", self.after, y)[:-1]
+        """The sums (k,) of rows by y (2, r, k): the transposed of `times`."""
+        found, both = np.einsum("xrk,xrk->k", here, y), y[0] - y[1]
+        found[:-1] += np.einsum("rk,rk->k", self.before, both)[1:]
+        found[1:] += np.einsum("rk,rk->k", self.after, both)[:-1]
         return found
 
     def squared(self, y: np.ndarray, here: np.ndarray) -> np.ndarray:
-        """The upper band (3, k) of the transposed times y (m, k) times the rows."""
-        found = np.zeros((3, y.shape[1]))
-        before, after, middle = self.before * y, self.after * y, here * y
-        found[2] = np.einsum("mk,mk->k", middle, here)
-        found[2, :-1] += np.einsum("mk,mk->k", before, self.before)[1:]
-        found[2, 1:] += np.einsum("mk,mk->k", after, self.after)[:-1]
-        found[1, 1:] = np.einsum("mk,mk->k", before, here)[1:] + np.einsum("mk,mk->k", after, here)[:-1]
-        found[0, 2:] = np.einsum("mk,mk->k", before, self.after)[1:-1]
+        """The upper band (3, k) of the transposed times y (2, r, k) times the rows."""
+        found, middle, both = np.zeros((3, y.shape[2])), here * y, y[0] + y[1]
+        before, after, across = self.before * both, self.after * both, middle[0] - middle[1]
+        found[2] = np.einsum("xrk,xrk->k", middle, here)
+        found[2, :-1] += np.einsum("rk,rk->k", before, self.before)[1:]
+        found[2, 1:] += np.einsum("rk,rk->k", after, self.after)[:-1]
+        found[1, 1:] = np.einsum("rk,rk->k", across, self.before)[1:] + np.einsum("rk,rk->k", across, self.after)[:-1]
+        found[0, 2:] = np.einsum("rk,rk->k", before, self.after)[1:-1]
         return found
 
 
-def fastest_warp(
-    step: float,
-    first: np.ndarray,
-    second: np.ndarray,
-    third: np.ndarray,
-    velocity: np.ndarray,
-    linear: np.ndarray,
-    jerk: np.ndarray,
-) -> np.ndarray:
-    """(dtau/dt)^2 (k,) at nodes of a motion, `step` [s] apart, by which it takes the least time.
+class Known(NamedTuple):
+    """A motion at k nodes, `step` [s] apart, at rest at both ends, and its limits.
 
-    first, second (n, k): Q' and Q'', zero at both ends.
-    third (2, n, k): the least and the greatest Q''' about each node.
-    velocity, jerk (n,): limits.
-    linear (2, m, k): more limits, of b and of b', `linear[0] b + linear[1] b' <= 1`.
+    first, second (n, k): Q' and Q''.
+    third (2, n, k): the greatest and the least Q''' about each node.
+    velocity, jerk (n, k): limits.
+    linear (2, m, k), within (2, m, k): more limits, of b and of b', `-within[1] <= linear[0] b + linear[1] b' <= within[0]`.
     """
-    slower = _slowdown(first, second, third, velocity, linear, jerk)
-    rates = 1.0 / slower ** np.arange(1, 4)
-    scaled = first * rates[0], second * rates[1], third * rates[2]
-    most = 1.0 / np.maximum(np.max((scaled[0] / velocity[:, None]) ** 2, axis=0), 1e-12)
-    rows = _rows(step * slower, *scaled, linear * np.array([rates[1], rates[0]])[:, None, None], jerk)
-    weights = np.full(len(most), step)
+
+    step: float
+    first: np.ndarray
+    second: np.ndarray
+    third: np.ndarray
+    velocity: np.ndarray
+    jerk: np.ndarray
+    linear: np.ndarray
+    within: np.ndarray
+
+
+def fastest_warp(known: Known, begin: np.ndarray | None = None) -> np.ndarray:
+    """(dtau/dt)^2 (k,) at the nodes of a known motion, by which it takes the least time within its limits; sooner from what it
+    is within limits that are much the same."""
+    rows = _rows(known)
+    most = 1.0 / np.maximum(np.max((known.first / known.velocity) ** 2, axis=0), 1e-12)
+    weights = np.full(len(most), known.step)
     weights[[0, -1]] *= 0.5
-    return _interior(rows, most, weights) / slower**2
+    b = np.ones(len(most)) if begin is None else begin
+    return _interior(rows, most, weights, b * _share(rows, most, b), 1.0 if begin is None else NEARER)
 
 
-def _slowdown(
-    first: np.ndarray, second: np.ndarray, third: np.ndarray, velocity: np.ndarray, linear: np.ndarray, jerk: np.ndarray
-) -> float:
-    """How many times slower the motion keeps all limits at the nodes, with `ROOM`."""
+def _share(rows: Rows, most: np.ndarray, b: np.ndarray) -> float:
+    """The share of b that keeps all limits, with `ROOM`."""
+    left, linear = rows.times(b, rows.here), rows.right.shape[1]
     used = [
-        np.max(np.abs(first) / velocity[:, None]),
-        np.sqrt(np.max(linear[0], initial=0.0)),
-        np.cbrt(np.max(np.abs(third) / jerk[:, None])),
+        np.max(b / most),
+        np.max(left[:, :linear] / rows.right, initial=0.0),
+        np.max(left[:, linear:] * np.sqrt(b), initial=0.0) ** (2.0 / 3.0),
     ]
-    return float(max(*used, 1e-9) * ROOM)
+    return float(1.0 / (ROOM * max(*used, 1e-9)))
 
 
-def _rows(h: float, first: np.ndarray, second: np.ndarray, third: np.ndarray, linear: np.ndarray, jerk: np.ndarray) -> Rows:
+def _rows(known: Known) -> Rows:
     """The limits by b of three neighbouring nodes."""
-    with_change = linear[1] / (2.0 * h)
-    change, bend = 0.75 / h * second / jerk[:, None], 0.5 / h**2 * first / jerk[:, None]
-    least, greatest = third / jerk[:, None]
+    beside, here = known.linear[1] / (2.0 * known.step), known.linear[0]
+    change = 0.75 / known.step * known.second / known.jerk
+    bend = 0.5 / known.step**2 * known.first / known.jerk
+    greatest, least = known.third / known.jerk
     return Rows(
-        np.concatenate([-with_change, bend - change, change - bend]),
-        np.concatenate([linear[0], greatest - 2.0 * bend, 2.0 * bend - least]),
-        np.concatenate([with_change, bend + change, -bend - change]),
-        len(with_change),
+        np.concatenate([-beside, bend - change]),
+        np.concatenate([[here, -here], [greatest - 2.0 * bend, 2.0 * bend - least]], axis=1),
+        np.concatenate([beside, bend + change]),
+        known.within,
     )
 
 
@@ -127,11 +138,11 @@ class _State(NamedTuple):
         return float(np.vdot(self.room, self.pull) + np.vdot(self.above, self.press))
 
 
-def _interior(rows: Rows, most: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The b (k,) below `most` of the least `weights . 1 / sqrt(b)`, from b = 1, which keeps all rows."""
-    b = np.ones(len(most))
+def _interior(rows: Rows, most: np.ndarray, weights: np.ndarray, b: np.ndarray, gap: float) -> np.ndarray:
+    """The b (k,) below `most` of the least `weights . 1 / sqrt(b)`, from one that keeps all rows, and multipliers by which that
+    is about this share above the least time."""
     room, above = _room(rows, b), most - b
-    centre = weights.sum() / (room.size + above.size)
+    centre = gap * np.sum(weights / np.sqrt(b)) / (room.size + above.size)
     state = _State(b, room, above, centre / room, centre / above)
     for _ in range(MOST):
         if state.gap < WORTH * np.sum(weights / np.sqrt(state.b)):
@@ -141,29 +152,29 @@ def _interior(rows: Rows, most: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def _room(rows: Rows, b: np.ndarray) -> np.ndarray:
-    """The right sides less the left ones (m, k)."""
-    left = rows.times(b, rows.here)
-    left[: rows.linear] -= 1.0
-    left[rows.linear :] -= 1.0 / np.sqrt(b)
-    return -left
+    """The right sides less the left ones (2, r, k)."""
+    room, linear = -rows.times(b, rows.here), rows.right.shape[1]
+    room[:, :linear] += rows.right
+    room[:, linear:] += 1.0 / np.sqrt(b)
+    return room
 
 
 def _stepped(now: _State, rows: Rows, most: np.ndarray, weights: np.ndarray) -> _State:
     """The next iterate: Newton's step to the limits themselves tells how far this one may go, and what it curves by
     [Mehrotra 1992]."""
-    from scipy.linalg import cho_solve_banded, cholesky_banded
+    from scipy.linalg.lapack import dpbtrf, dpbtrs
 
     here = rows.here.copy()
-    here[rows.linear :] += 0.5 * now.b**-1.5  # the tangents of 1 / sqrt(b)
+    here[:, rows.right.shape[1] :] += 0.5 * now.b**-1.5  # the tangents of 1 / sqrt(b)
     stiff, hard = now.pull / now.room, now.press / now.above
     matrix = rows.squared(stiff, here)
     matrix[2] += hard + 0.75 * weights * now.b**-2.5
-    factor = cholesky_banded(matrix, check_finite=False), False
+    factor, _ = dpbtrf(matrix)
     slope = -0.5 * weights * now.b**-1.5
 
     def newton(wanted: np.ndarray, beyond: np.ndarray) -> tuple[np.ndarray, ...]:
         """The step of b, by how much it takes of the room, and the steps of the multipliers, to such multipliers."""
-        db = cho_solve_banded(factor, -(slope + rows.gathered(wanted, here) + beyond), check_finite=False)
+        db, _ = dpbtrs(factor, -(slope + rows.gathered(wanted, here) + beyond))
         taken = rows.times(db, here)
         return db, taken, wanted - now.pull + stiff * taken, beyond - now.press + hard * db
 

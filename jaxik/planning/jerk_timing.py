@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.optimise.jerk_scaling import fastest_warp
+from jaxik.optimise.jerk_scaling import Known, fastest_warp
 from jaxik.planning import limits as drive_limits
 from jaxik.planning.fastest_timing import fastest_along
 from jaxik.planning.limits import WITHIN, Drives, Limits
@@ -28,9 +28,15 @@ from jaxik.planning.way_law import Law, averaged, driven
 
 MOMENTS = 300  # by default
 FEWEST = 64  # moments of a part between two stops
+TURNS = 3  # in which limits are drawn in where they were missed
+ABOUT = 1  # moments beside those
 ENDS = 3  # moments at rest, where the averaged motion has all the jerk of its beginning, and the spline has not
 RISE = 3  # moments in which accelerations may rise at least
 JUMP = 1e-9  # of a direction or a bend
+FALLS = np.array([1.0, 2.0, 3.0, 2.0])  # powers of the slowness, with which velocity, acceleration, jerk and torque fall
+
+
+UNKNOWN = Law(*np.full((4, 2), np.nan))
 
 
 class _Part(NamedTuple):
@@ -67,15 +73,14 @@ def smooth_along(
 
 def _along(whole: _Part, count: int) -> Law:
     """The law along all of a path, part after part; NaN where it holds NaN, or a drive cannot hold the arm."""
-    unknown = Law(*np.full((4, 2), np.nan))
     if not (np.isfinite(whole.lengths).all() and np.isfinite(whole.curve).all()):
-        return unknown
+        return UNKNOWN
     parts = _parts(whole)
     straight = [not part.curve[:, :2].any() and part.drives is None for part in parts]
     rough = [None if line else _fastest(part) for line, part in zip(straight, parts, strict=True)]
     lasts = np.array([0.0 if law is None else law[0][-1] for law in rough])
     if not np.isfinite(lasts).all():
-        return unknown
+        return UNKNOWN
     laws = [Law(*np.zeros((4, 2)))]
     for part, law, share in zip(parts, rough, lasts / max(lasts.sum(), 1e-300), strict=True):
         found = _line(part) if law is None else _curved(part, law, max(FEWEST, int(np.ceil(share * count))))
@@ -125,11 +130,28 @@ def _curved(part: _Part, rough: tuple[np.ndarray, ...], count: int) -> Law:
     time, place, speed = rough
     width = min(max(_rise(part, *rough), RISE * time[-1] / count), 0.5 * time[-1])
     known = averaged(time, place, speed, width, count)
-    squares = _warp(part, known)
-    if not np.isfinite(squares).all():
-        return Law(*np.full((4, 2), np.nan))
-    law = driven(known, squares, count)
-    return law.slower(_missed(part, law))
+    share = np.ones((len(FALLS), len(part.jerk), len(known.time)))
+    squares, laws = None, []
+    for _ in range(TURNS):
+        squares = _warp(part, known, share, squares)
+        if squares is None:
+            return UNKNOWN
+        law = driven(known, squares, count)
+        used, at = _used(part, law)
+        if not np.isfinite(used).all():
+            return UNKNOWN
+        laws.append(law.slower(float(np.max(used.max(axis=(1, 2)) ** (1.0 / FALLS)))))
+        share *= _left(used, np.searchsorted(known.place, at), len(known.time))
+    return min(laws, key=lambda law: float(law.time[-1]))
+
+
+def _left(used: np.ndarray, node: np.ndarray, count: int) -> np.ndarray:
+    """The share of limits (4, n, count) that nodes may use, after these were `used` (4, n, i) about such nodes (i,), which do
+    not fall."""
+    nodes, first = np.unique(np.minimum(node, count - 1), return_index=True)
+    most = np.ones((*used.shape[:2], count + 2 * ABOUT))
+    most[..., ABOUT + nodes] = np.maximum(np.maximum.reduceat(used, first, axis=2), 1.0)
+    return 1.0 / np.max([most[..., k : k + count] for k in range(2 * ABOUT + 1)], axis=0)
 
 
 def _rise(part: _Part, time: np.ndarray, place: np.ndarray, speed: np.ndarray) -> float:
@@ -141,9 +163,9 @@ def _rise(part: _Part, time: np.ndarray, place: np.ndarray, speed: np.ndarray) -
     return float(np.max(np.abs(slope * rate[:, None] + bend * speed[:-1, None] ** 2) / part.jerk))
 
 
-def _warp(part: _Part, known: Law) -> np.ndarray:
-    """(dtau/dt)^2 (m,) at the moments tau of a known law by which it takes the least time; NaN where a drive cannot hold the
-    arm."""
+def _warp(part: _Part, known: Law, share: np.ndarray, begin: np.ndarray | None) -> np.ndarray | None:
+    """(dtau/dt)^2 (m,) at the moments tau of a known law by which it takes the least time, with such a share of the limits
+    (4, n, m); None where a drive cannot hold the arm."""
     step, (piece, since) = known.time[1], part.pieces_at(known.place)
     curve, v, a = part.curve[piece], known.speed[:, None], known.acceleration[:, None]
     q, slope, bend = along_pieces(curve, since)
@@ -152,24 +174,26 @@ def _warp(part: _Part, known: Law) -> np.ndarray:
     before = np.maximum(np.arange(len(piece)) - 1, 0)
     after = np.minimum(np.arange(len(piece)) + 1, len(piece) - 1)
     twists = 6.0 * part.curve[:, 0][np.stack([piece[before], piece, piece[after]])]  # q''' jumps between pieces
-    third = np.stack([twists.min(axis=0), twists.max(axis=0)]) * v**3 + 3.0 * bend * v * a + slope * jerk[:, None]
+    third = np.stack([twists.max(axis=0), twists.min(axis=0)]) * v**3 + 3.0 * bend * v * a + slope * jerk[:, None]
     first, second = slope * v, bend * v**2 + slope * a
-    most = part.limits.acceleration
-    rows = [np.stack([second, 0.5 * first]) / most, -np.stack([second, 0.5 * first]) / most]
+    columns = [np.stack([second, 0.5 * first]) / part.limits.acceleration]
+    within = [np.stack([share[1].T] * 2)]
     if part.drives is not None:
         by_change, by_square, still = drive_limits.along(part.drives, q, slope, bend)
-        moving = np.stack([by_change * a + by_square * v**2, 0.5 * by_change * v])
-        room = part.drives.torque - still, part.drives.torque + still
-        if min(x.min() for x in room) <= 0.0:
-            return np.full(len(piece), np.nan)
-        rows += [moving / room[0], -moving / room[1]]
-    linear = np.concatenate(rows, axis=2).swapaxes(1, 2)
-    return fastest_warp(step, first.T, second.T, third.swapaxes(1, 2), part.limits.velocity, linear, part.jerk)
+        moving, still = np.stack([by_change * a + by_square * v**2, 0.5 * by_change * v]), still / part.drives.torque
+        if np.abs(still).max() >= 1.0:
+            return None
+        columns.append(moving / part.drives.torque)
+        within.append(np.stack([1.0 - still, 1.0 + still]) * share[3].T)
+    linear, room = (np.concatenate(x, axis=2).swapaxes(1, 2) for x in (columns, within))
+    velocity, most = part.limits.velocity[:, None] * share[0], part.jerk[:, None] * share[2]
+    return fastest_warp(Known(step, first.T, second.T, third.swapaxes(1, 2), velocity, most, linear, room), begin)
 
 
-def _missed(part: _Part, law: Law) -> float:
-    """By how much the law must be slower, or may be faster, to keep the limits: at five moments between each two at which
-    something jumps, with room for what is between these; NaN where a drive cannot hold the arm."""
+def _used(part: _Part, law: Law) -> tuple[np.ndarray, np.ndarray]:
+    """The shares (4, n, i) of the limits of velocity, acceleration and jerk, and of what holding the arm leaves of the torques,
+    between moments at which something jumps, and where that is (i,): at five moments, with room for what is between these.
+    Infinite where a drive cannot hold the arm."""
     cuts = np.unique(np.concatenate([law.time, law.arrivals(np.cumsum(part.lengths)[:-1])]))
     moments = cuts[:-1, None] + np.diff(cuts)[:, None] * WITHIN
     i = law.interval(0.5 * (cuts[1:] + cuts[:-1]))[:, None]
@@ -180,12 +204,13 @@ def _missed(part: _Part, law: Law) -> float:
     curve = part.curve[piece][:, None]
     q, slope, bend = along_pieces(curve, np.clip(s - begin[:, None], 0.0, part.lengths[piece][:, None]))
     values = slope * v, bend * v**2 + slope * a, 6.0 * curve[..., 0, :] * v**3 + 3.0 * bend * v * a + slope * jerk
-    used = [np.max(_reach(x) / most) for x, most in zip(values, (*part.limits, part.jerk), strict=True)]
-    slower = [used[0], np.sqrt(used[1]), np.cbrt(used[2])]
-    if part.drives is not None:
+    used = [_reach(x) / most for x, most in zip(values, (*part.limits, part.jerk), strict=True)]
+    if part.drives is None:
+        used.append(np.zeros_like(used[0]))
+    else:
         by_change, by_square, still = drive_limits.along(part.drives, q, slope, bend)
-        slower.append(np.sqrt(_share(by_change * a + by_square * v**2, still, part.drives.torque)))
-    return float(np.max(slower))
+        used.append(_of_torque(by_change * a + by_square * v**2, still, part.drives.torque))
+    return np.swapaxes(used, 1, 2), s[:, 2]
 
 
 def _reach(values: np.ndarray) -> np.ndarray:
@@ -193,12 +218,10 @@ def _reach(values: np.ndarray) -> np.ndarray:
     return np.abs(values).max(axis=-2) + drive_limits.off_chords(values)
 
 
-def _share(moving: np.ndarray, still: np.ndarray, torque: np.ndarray) -> float:
-    """The share of what torques (i, w, n) leave to motion that it takes; NaN where they leave nothing."""
-    shares, room = [], drive_limits.off_chords(still)
-    for sign in (1.0, -1.0):
-        left = torque - (sign * still).max(axis=-2) - room
-        if left.min() <= 0.0:
-            return np.nan
-        shares.append(np.max(((sign * moving).max(axis=-2) + drive_limits.off_chords(moving)) / left))
-    return max(*shares, 0.0)
+def _of_torque(moving: np.ndarray, still: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    """The share (i, n) of what torques (i, w, n) leave to motion that it takes; infinite where they leave nothing."""
+    room, bent = drive_limits.off_chords(still), drive_limits.off_chords(moving)
+    left = [torque - (sign * still).max(axis=-2) - room for sign in (1.0, -1.0)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = [((sign * moving).max(axis=-2) + bent) / x for sign, x in zip((1.0, -1.0), left, strict=True)]
+    return np.where(np.min(left, axis=0) > 0.0, np.maximum(np.max(shares, axis=0), 0.0), np.inf)

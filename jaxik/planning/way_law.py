@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+NEWTON = 6  # steps
 FINER = 4  # steps of a moment, in which time is integrated
 GAUSS = np.array([-np.sqrt(0.6), 0.0, np.sqrt(0.6)]) / 2.0 + 0.5, np.array([5.0, 8.0, 5.0]) / 18.0
 
@@ -38,14 +39,14 @@ class Law(NamedTuple):
         return self.place[i] + (v + (0.5 * a + jerk * e / 6.0) * e) * e, v + (a + 0.5 * jerk * e) * e, a + jerk * e
 
     def arrivals(self, places: np.ndarray) -> np.ndarray:
-        """The times at which the way is at such places, by bisection: it never turns back."""
-        low = self.time[np.clip(np.searchsorted(self.place, places) - 1, 0, len(self.time) - 2)]
-        high = self.time[np.clip(np.searchsorted(self.place, places), 1, len(self.time) - 1)]
-        for _ in range(40):
-            middle = 0.5 * (low + high)
-            short = self.moved(middle, self.interval(middle))[0] < places
-            low, high = np.where(short, middle, low), np.where(short, high, middle)
-        return high
+        """The times at which the way is at such places, inside of it, by Newton's steps between two moments."""
+        i = np.clip(np.searchsorted(self.place, places) - 1, 0, len(self.time) - 2)
+        first, last = self.time[i], self.time[i + 1]
+        t = first + (last - first) * (places - self.place[i]) / (self.place[i + 1] - self.place[i])
+        for _ in range(NEWTON):
+            place, speed, _ = self.moved(t, i)
+            t = np.clip(t - (place - places) / np.maximum(speed, 1e-150), first, last)
+        return t
 
     def slower(self, factor: float) -> Law:
         """The law that lasts so many times longer."""
