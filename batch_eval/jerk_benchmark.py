@@ -1,19 +1,19 @@
-"""Motions with a limit of the jerk, beside those without and beside Ruckig: `python batch_eval/jerk_benchmark.py --goals FOLDER`.
+"""Motions with a limit of the jerk, beside those without and Ruckig's: `python batch_eval/jerk_benchmark.py --goals FOLDER`.
 
-Needs `pip install -e ".[test,peers]"`. Prints, and writes `batch_eval/jerk_benchmark.json`. FOLDER holds a robot and its problems
-of MotionBenchMaker (`setups/`), of which a hundred are taken. A motion is judged from outside: its limits by finite differences
-of its values alone, 0.1 ms apart, and free by coal. Ruckig drives the lines between the same waypoints, from rest to rest, its
-joints in phase: by `time_path` through the same waypoints, and by what `plan_motion` makes of it, which need not stop there.
+Needs `pip install -e ".[test,peers]"`. Prints, and writes `batch_eval/jerk_benchmark.json`. FOLDER holds a robot and its
+problems of MotionBenchMaker (`setups/`), of which a hundred are taken. A motion is judged from outside: its limits by finite
+differences of its values alone, 0.1 ms apart, and free by coal. Ruckig drives the lines between the same waypoints, from rest
+to rest, its joints in phase; `time_path` does so through these waypoints, and `plan_motion` need not stop there.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import ruckig
 from peers.collision_peers import Coal
@@ -38,27 +38,24 @@ def cases(robot: jaxik.Robot) -> dict[str, dict[str, Any]]:
     velocity = np.asarray(robot.velocity)
     usual = {"velocity": velocity, "acceleration": 4.0 * velocity}
     found = {f"jerk {times} x acceleration": usual | {"jerk": 4.0 * times * velocity} for times in (10, 15, 20)}
-    return found | {"Franka": {name: np.array(most) for name, most in FRANKA.items()}}
+    return found | {"Franka": {name: np.asarray(most) for name, most in FRANKA.items()}}
 
 
 def shares(moved: Any, limits: dict[str, Any]) -> dict[str, float]:
     """The greatest shares of the limits that finite differences of values show; and of the rest at both ends."""
-    t = np.arange(0.0, moved.duration, SAMPLE)
-    ends = np.linspace(0.0, moved.duration, 2)
-    at = jax.jit(jax.vmap(moved.at))
-    with jax.enable_x64(True):
-        q, state = np.asarray(at(t).q), at(ends)
-    found = {}
+    state, found = moved.sample(SAMPLE), {}
     for order, name in enumerate(("velocity", "acceleration", "jerk"), 1):
-        found[name] = float(np.max(np.abs(np.diff(q, order, axis=0)) / SAMPLE**order / limits[name]))
-    found["rest"] = float(max(np.abs(state.velocity).max(), np.abs(state.acceleration).max()))
+        found[name] = float(np.max(np.abs(np.diff(state.q, order, axis=0)) / SAMPLE**order / limits[name]))
+    ends = state[[0, -1]]
+    found["rest"] = float(max(np.abs(ends.velocity).max(), np.abs(ends.acceleration).max()))
     return found
 
 
-def by_ruckig(waypoints: np.ndarray, limits: dict[str, Any]) -> float:
-    """The time [s] of the lines between waypoints, from rest to rest, in phase."""
-    lasts = 0.0
-    for begin, end in zip(waypoints[:-1], waypoints[1:], strict=True):
+def by_ruckig(waypoints: np.ndarray, limits: dict[str, Any]) -> tuple[float, float]:
+    """The time [s] of the lines between waypoints, from rest to rest, in phase; and how far [rad] a joint is off the line on
+    the way: where no common phase keeps all limits, Ruckig lets joints go their own."""
+    lasts, off = 0.0, 0.0
+    for begin, end in itertools.pairwise(waypoints):
         asked = ruckig.InputParameter(len(begin))
         asked.current_position, asked.target_position = begin.tolist(), end.tolist()
         for name, most in limits.items():
@@ -67,30 +64,43 @@ def by_ruckig(waypoints: np.ndarray, limits: dict[str, Any]) -> float:
         found = ruckig.Trajectory(len(begin))
         assert ruckig.Ruckig(len(begin)).calculate(asked, found) == ruckig.Result.Working
         lasts += found.duration
-    return lasts
+        q = np.array([found.at_time(t)[0] for t in np.linspace(0.0, found.duration, 50)])
+        share = (q - begin) @ (end - begin) / np.sum((end - begin) ** 2)
+        off = max(off, float(np.abs(q - begin - share[:, None] * (end - begin)).max()))
+    return lasts, off
 
 
-def case(robot: jaxik.Robot, coal: Coal, goals: list[Any], limits: dict[str, Any]) -> dict[str, Any]:
+def verdict(robot: jaxik.Robot, coal: Coal, goal: Any, moved: Any, known: dict[int, Any], number: int) -> dict[str, Any]:
+    """Whether a motion is free and inside the range of the joints; of a path that is `known` it is not asked again."""
+    path = moved.trajectory.path.coefficients
+    if number not in known or not np.array_equal(known[number][0], path):
+        known[number] = path, judged(robot, coal, goal.scene, moved)
+        coal.scenes.clear()
+    return {name: known[number][1][name] for name in ("free", "inside")}
+
+
+def case(robot: jaxik.Robot, coal: Coal, goals: list[Any], limits: dict[str, Any], known: dict[int, Any]) -> dict[str, Any]:
     """All problems with such limits."""
     without = {name: limits[name] for name in ("velocity", "acceleration")}
     plan = lambda goal, most: clocked(lambda: plan_motion(robot, goal.start, goal.q, scene=goal.scene, **most))
     rows: list[dict[str, Any]] = []
-    for goal in goals:
+    for number, goal in enumerate(goals):
         (free, before), (moved, seconds) = (
-            min((plan(goal, most) for _ in range(3)), key=lambda x: x[1]) for most in (without, limits)
+            min((plan(goal, most) for _ in range(2)), key=lambda x: x[1]) for most in (without, limits)
         )
         if not moved:
             continue
         trajectory = moved.trajectory
         line, timed = clocked(lambda w=moved.waypoints: time_path(w, robot=robot, **limits))
-        peer = by_ruckig(moved.waypoints, limits)
+        peer, off = by_ruckig(moved.waypoints, limits)
         own = clocked(lambda p=trajectory.path: time_path(p, robot=robot, places=256, **limits))[1]
         rows.append(
             {
                 **shares(trajectory, limits),
-                **{key: judged(robot, coal, goal.scene, moved)[key] for key in ("free", "inside")},
+                **verdict(robot, coal, goal, moved, known, number),
                 "longer": float(trajectory.duration / free.trajectory.duration),
                 "lines": float(line.duration / peer),
+                "off": off,
                 "past": float(trajectory.duration / peer),
                 "ms": 1e3 * seconds,
                 "ms_without": 1e3 * before,
@@ -98,7 +108,6 @@ def case(robot: jaxik.Robot, coal: Coal, goals: list[Any], limits: dict[str, Any
                 "ms_lines": 1e3 * timed,
             }
         )
-        coal.scenes.clear()
     column = lambda name: [row[name] for row in rows]
     result: dict[str, Any] = {
         "problems": len(goals),
@@ -109,6 +118,8 @@ def case(robot: jaxik.Robot, coal: Coal, goals: list[Any], limits: dict[str, Any
     result |= {f"share_of_{name}": max(column(name)) for name in ("velocity", "acceleration", "jerk", "rest")}
     result |= {"to_without_jerk_mean": float(np.mean(column("longer"))), "to_without_jerk_most": max(column("longer"))}
     result |= {"lines_to_ruckig_least": min(column("lines")), "lines_to_ruckig_most": max(column("lines"))}
+    on_line = [row["lines"] for row in rows if row["off"] < 1e-6]
+    result |= {"ruckig_on_lines": len(on_line), "lines_to_ruckig_on_lines_most": max(on_line, default=None)}
     result |= {"planned_to_ruckig_with_stops_mean": float(np.mean(column("past")))}
     for name in ("ms", "ms_without", "ms_timing", "ms_lines"):
         p50, p95 = percentiles(column(name))
@@ -130,8 +141,9 @@ def main() -> None:
     coal = Coal(robot, *files, broad=True, posture=posture)
     plan_motion(robot, goals[0].start, goals[0].q, scene=goals[0].scene, jerk=100.0)  # compiles
     result: dict[str, Any] = {"machine": machine(), "robot": robot.name, "ruckig": ruckig.__version__}
+    known: dict[int, Any] = {}
     for name, limits in cases(robot).items():
-        result[name] = case(robot, coal, goals, limits)
+        result[name] = case(robot, coal, goals, limits, known)
         print(name, json.dumps(result[name]))
     arguments.out.write_text(json.dumps(result, indent=2) + "\n")
 

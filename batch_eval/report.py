@@ -19,6 +19,7 @@ from tables.forces import dynamics_markdown, identification_markdown, torque_mar
 from tables.motions import (
     astar_markdown,
     harvest_motions_markdown,
+    jerk_markdown,
     peppers_markdown,
     planning_markdown,
     predictive_markdown,
@@ -54,6 +55,7 @@ TABLES = {
     "harvest_motions.json": harvest_motions_markdown,
     "identification.json": identification_markdown,
     "ik_benchmark.json": ik_markdown,
+    "jerk_benchmark.json": jerk_markdown,
     "mesh_benchmark.json": mesh_markdown,
     "motions.json": motions_markdown,
     "narrow_goals.json": narrow_markdown,
