@@ -134,7 +134,7 @@ class _State(NamedTuple):
 
     @property
     def gap(self) -> float:
-        """What the time is above the least one, at most, but for the convexity of the jerk's limits."""
+        """The room of all limits, weighed: how far the time is above the least one at most, with these tangents."""
         return float(np.vdot(self.room, self.pull) + np.vdot(self.above, self.press))
 
 
