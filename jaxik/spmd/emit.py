@@ -151,7 +151,7 @@ class Emitter:
             self.memory.store(op.args, self.taking_part)
         elif op.code == "lane":
             numbers = ", ".join(f"i32 {k}" for k in range(self.text.width))
-            self.values.define(v, self.text.same(self.text.vector("i32"), f"<{numbers}>"))
+            self.values.equal(v, f"<{numbers}>")
         elif op.code.startswith("team"):
             if self.live.is_parted(v):
                 raise Unsupported("a collective of a team where its lanes part")
@@ -159,7 +159,11 @@ class Emitter:
                 v, collective(self.text, op.code, self.values.kind(op.args[0]), self.values.name(op.args[0], True))
             )
         elif op.code != "result":  # named by the loop or branch that it comes from
-            self.values.define(v, instruction(self.text, self._expression(op, self.values.is_wide(v))))
+            expression = self._expression(op, self.values.is_wide(v))
+            if expression.is_same:
+                self.values.equal(v, expression.names[0])
+            else:
+                self.values.define(v, instruction(self.text, expression))
 
     def _expression(self, op: Op, wide: bool) -> Expression:
         names = [self.values.name(a, wide) for a in op.args]
@@ -199,7 +203,7 @@ class Emitter:
         t.start(end)
         for i in sorted(self.live.results.get(v, ())):
             p = loop.params[i]
-            values.define(self.live.result(v, i), t.same(values.shape(p), again[i] if loop.turn else f"%v{p}"))
+            values.equal(self.live.result(v, i), again[i] if loop.turn else f"%v{p}")
 
     def _test(self, v: int, loop: Loop, body: str, end: str) -> str | None:
         """Leaves the loop where no lane goes on; the lanes that do, if they are not all or none."""
