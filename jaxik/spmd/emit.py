@@ -182,9 +182,8 @@ class Emitter:
         phis = len(t.lines)  # their last operands are known after the body
         for name in (*(loop.params[i] for i in kept), *loop.turn):
             values.broadcast(name)
-        running = self._test(v, loop, body, end) if loop.test is not None else None
         outside = self.taking_part
-        self._part(running)
+        running = self._test(v, loop, body, end) if loop.test is not None else None
         self._operations(loop.body)
         self.taking_part = outside
         again = {i: self._carried(loop, i, running) for i in kept}
@@ -206,13 +205,14 @@ class Emitter:
             values.equal(self.live.result(v, i), again[i] if loop.turn else f"%v{p}")
 
     def _test(self, v: int, loop: Loop, body: str, end: str) -> str | None:
-        """Leaves the loop where no lane goes on; the lanes that do, if they are not all or none."""
+        """Leaves the loop where no lane goes on; the lanes that do, if they are not all or none. One that takes no part around
+        the loop has numbers that nobody meant, by which it might never end."""
         assert loop.test is not None
         t, (before, holds) = self.text, loop.test
         self._operations(before)
         running = None
         if self.values.is_wide(holds):
-            running = t.assign(f"and {t.vector('i1')} %active{v}, {self.values.name(holds, True)}")
+            running = self._part(t.assign(f"and {t.vector('i1')} %active{v}, {self.values.name(holds, True)}"))
             more = self._any(running)
         else:
             more = self.values.name(holds, False)
@@ -237,11 +237,12 @@ class Emitter:
         t.line(f"br i1 {more}, label %{head}, label %{end}")
         return f"  %v{turn} = phi i32 [ 0, %{before} ], [ {step}, %{last} ]"
 
-    def _part(self, truths: str | None) -> None:
-        """Only those lanes take part from here on for which it holds, of those that do."""
-        if truths is not None and self.taking_part is not None:
+    def _part(self, truths: str) -> str:
+        """Only those lanes take part from here on for which it holds, of those that do; whether each does."""
+        if self.taking_part is not None:
             truths = self.text.assign(f"and {self.text.vector('i1')} {truths}, {self.taking_part}")
-        self.taking_part = truths or self.taking_part
+        self.taking_part = truths
+        return truths
 
     def _any(self, truths: str) -> str:
         """Whether it holds in some lane."""
@@ -260,9 +261,8 @@ class Emitter:
         found = []
         for body, values, taken in ((branch.yes, branch.yes_values, holds), (branch.no, branch.no_values, fails)):
             outside = self.taking_part
-            self._part(taken if wide else None)
             gives = {r: values[i] for i, r in results.items()}
-            found.append(self._side(body, gives, self._any(taken) if wide else taken))
+            found.append(self._side(body, gives, self._any(self._part(taken)) if wide else taken))
             self.taking_part = outside
         yes, no = found
         for result, a, b in zip(results.values(), yes, no, strict=True):

@@ -159,6 +159,31 @@ def test_a_table_is_written_in_place():
     alike(walked, 5 * np.arange(37), rtol=1e-5)
 
 
+def test_lanes_that_take_no_part_do_not_turn_loops_for_ever():
+    """A loop ends by what it writes; lanes write nothing in a branch that they do not take, or once an outer loop is done, and
+    what they would compute there need not end: 5, 3, 1, -1, ... never is 0."""
+
+    def filled(table, n):
+        return lax.while_loop(lambda s: s[n] < 3.0, lambda s: s.at[n].add(1.0), table)
+
+    def in_a_branch(n):
+        turn = lambda i, s: lax.cond((i + n) % 3 == 0, filled, lambda s, n: s.at[2].set(jnp.sin(1.0 * i)), s, n)
+        return lax.fori_loop(0, 5, turn, jnp.zeros(300))
+
+    def in_a_loop(n):
+        again = lambda s: (s[0] + 1, filled(s[1].at[n].set(0.0), n))
+        return lax.while_loop(lambda s: s[0] < n, again, (0, jnp.ones(300)))[1]
+
+    def without_memory(n):
+        halves = lambda: lax.while_loop(lambda s: s[0] != 0, lambda s: (s[0] - 2, s[1] + jnp.sin(0.1 * s[0])), (n, 0.0))[1]
+        return lax.cond(n % 2 == 0, halves, lambda: 0.5)
+
+    for function in (in_a_branch, in_a_loop):
+        alike(function, np.arange(20))
+    found = jax.jit(jax.vmap(kernel(without_memory)))(np.arange(20))  # XLA itself computes both sides, and goes on for ever
+    assert_allclose(found, [0.5 if n % 2 else np.sin(0.1 * np.arange(n, 0, -2)).sum() for n in range(20)], rtol=1e-5)
+
+
 def test_loops_in_loops_write_to_one_table():
     def filled(n, x):
         row = lambda i, table: lax.fori_loop(0, 20, lambda j, t: t.at[i, j].set(x * i + t[i, (j + 19) % 20]), table)
