@@ -95,7 +95,7 @@ def test_loops_and_branches_by_lanes_and_by_all():
 
 
 def test_nested_loops_that_all_lanes_share(monkeypatch):
-    """What an inner loop gives is carried by the outer one, in one number for all lanes. LLVM's good code lost it where the
+    """The outer loop carries what the inner one gives, in one number for all lanes. LLVM's good code lost it where the
     text had a `bitcast` between equal types; there is none."""
     monkeypatch.setattr(call, "QUICK", 30_000)  # as users have it
 
