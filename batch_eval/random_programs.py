@@ -81,7 +81,7 @@ def main() -> None:
 
 
 def tables(count: int) -> None:
-    """Runs so many programs that write to arrays in place, half of them by teams; counts what a kernel refuses by its reason."""
+    """Runs so many programs that write to arrays in place, half of them by teams; counts refusals by their reason."""
     import table_generator
 
     said: collections.Counter[str] = collections.Counter()

@@ -153,7 +153,7 @@ class Emitter:
             numbers = ", ".join(f"i32 {k}" for k in range(self.text.width))
             self.values.equal(v, f"<{numbers}>")
         elif op.code.startswith("team"):
-            if self.live.is_parted(v):
+            if self.live.is_partial(v):
                 raise Unsupported("a collective of a team where its lanes part")
             self.values.define(
                 v, collective(self.text, op.code, self.values.kind(op.args[0]), self.values.name(op.args[0], True))
@@ -175,18 +175,18 @@ class Emitter:
 
     def _loop(self, v: int, loop: Loop) -> None:
         t, values = self.text, self.values
-        kept = [i for i, p in enumerate(loop.params) if p in self.live.needed]
+        carried = [i for i, p in enumerate(loop.params) if p in self.live.needed]
         before, head, body, end = t.block, t.label("head"), t.label("turn"), t.label("end")
         t.line(f"br label %{head}")
         t.start(head)
         phis = len(t.lines)  # their last operands are known after the body
-        for name in (*(loop.params[i] for i in kept), *loop.turn):
+        for name in (*(loop.params[i] for i in carried), *loop.turn):
             values.broadcast(name)
         outside = self.taking_part
         running = self._test(v, loop, body, end) if loop.test is not None else None
         self._operations(loop.body)
         self.taking_part = outside
-        again = {i: self._carried(loop, i, running) for i in kept}
+        again = {i: self._carried(loop, i, running) for i in carried}
         last, lines = t.block, []
         for i, new in again.items():
             p = loop.params[i]
@@ -212,7 +212,7 @@ class Emitter:
         self._operations(before)
         running = None
         if self.values.is_wide(holds):
-            running = self._part(t.assign(f"and {t.vector('i1')} %active{v}, {self.values.name(holds, True)}"))
+            running = self._take_part(t.assign(f"and {t.vector('i1')} %active{v}, {self.values.name(holds, True)}"))
             more = self._any(running)
         else:
             more = self.values.name(holds, False)
@@ -237,7 +237,7 @@ class Emitter:
         t.line(f"br i1 {more}, label %{head}, label %{end}")
         return f"  %v{turn} = phi i32 [ 0, %{before} ], [ {step}, %{last} ]"
 
-    def _part(self, truths: str) -> str:
+    def _take_part(self, truths: str) -> str:
         """Only those lanes take part from here on for which it holds, of those that do; whether each does."""
         if self.taking_part is not None:
             truths = self.text.assign(f"and {self.text.vector('i1')} {truths}, {self.taking_part}")
@@ -262,7 +262,7 @@ class Emitter:
         for body, values, taken in ((branch.yes, branch.yes_values, holds), (branch.no, branch.no_values, fails)):
             outside = self.taking_part
             gives = {r: values[i] for i, r in results.items()}
-            found.append(self._side(body, gives, self._any(self._part(taken)) if wide else taken))
+            found.append(self._side(body, gives, self._any(self._take_part(taken)) if wide else taken))
             self.taking_part = outside
         yes, no = found
         for result, a, b in zip(results.values(), yes, no, strict=True):

@@ -108,8 +108,8 @@ class Accesses:
         self.values.define(v, self.text.as_truth(self.text.assign(text), wide) if truth else text)
 
     def store(self, store: Store, taking_part: str | None) -> None:
-        """Writes what is `kept` from turn to turn in those lanes alone that take part, if not all do; other scratch is read by
-        nobody but in the turn that wrote it."""
+        """Writes to kept memory in those lanes alone that take part, if not all do; other scratch is read by nobody but in the
+        turn that wrote it."""
         t, kind = self.text, store.memory.type
         wide = self._apart(store.memory)
         shape, mask = t.shape(stored(kind), wide), taking_part if store.kept else None
