@@ -23,8 +23,8 @@ from jaxik.spmd.trace import TEAM_SIZE
 
 LOOKS = (0.05, 0.003), (0.025, 0.001), (0.0125, 0.0)  # steps of samples, and their cushion [m], one after another
 ROUNDS = 0.2, 0.5, 1.0  # of all, at which a search that has not arrived looks closer
-POINTS, AGAIN = 20, 3  # of a way, between which lines are tried, and how often at most
-BETTER = 0.98  # times as long as before, from which on it is not tried again
+POINTS, AGAIN = 14, 3  # of a way, between which lines are tried, and how often at most
+BETTER = 0.95  # times as long as before, from which on it is not tried again
 SHARES = 0.5 ** np.arange(1.0, 6.0)  # of the shorter line at a corner, at which its bend begins and ends
 CHORDS = 8
 CALL = 128  # rounds of the search between two looks at the clock
