@@ -173,7 +173,7 @@ def test_smooth_bends_are_smooth_and_where_they_are_proven(arm):
     robot, _ = arm
     space = CollisionChecker(robot, None, 0.0)
     ways = [np.random.default_rng(seed).uniform(-1.0, 1.0, (5, 3)) for seed in range(3)]
-    for way, path in zip(ways, blended(space, ways, smooth=True), strict=True):
+    for way, path in zip(ways, blended(space, ways, np.zeros(3, int), smooth=True), strict=True):
         ends = np.cumsum(path.lengths)
         eps = 1e-7
         with jax.enable_x64(True):
