@@ -28,7 +28,9 @@ from jaxik.planning.way_law import Law, averaged, driven
 
 MOMENTS = 300  # by default
 FEWEST = 64  # moments of a part between two stops
-TURNS = 3  # in which limits are drawn in where they were missed
+RAMP, SOFTER = 0.25, 3  # of the time; turns in which accelerations are found that the jerk reaches in it
+TURNS, MOST = 3, 6  # in which limits are drawn in where they were missed: at least, and while they are missed
+MISSED = 1.05  # times the time, by which all of the motion would have to be slower
 ABOUT = 1  # moments beside those
 ENDS = 3  # moments at rest, where the averaged motion has all the jerk of its beginning, and the spline has not
 RISE = 3  # moments in which accelerations may rise at least
@@ -77,7 +79,7 @@ def _along(whole: _Part, count: int) -> Law:
         return UNKNOWN
     parts = _parts(whole)
     straight = [not part.curve[:, :2].any() and part.drives is None for part in parts]
-    rough = [None if line else _fastest(part) for line, part in zip(straight, parts, strict=True)]
+    rough = [None if line else _rough(part) for line, part in zip(straight, parts, strict=True)]
     lasts = np.array([0.0 if law is None else law[0][-1] for law in rough])
     if not np.isfinite(lasts).all():
         return UNKNOWN
@@ -125,6 +127,20 @@ def _fastest(part: _Part) -> tuple[np.ndarray, ...]:
     return tuple(x[0] for x in found[2:])
 
 
+def _rough(part: _Part) -> tuple[np.ndarray, ...]:
+    """The `_fastest` motion within such accelerations as the jerk reaches in a share of its time `RAMP`, by its own time, which
+    goes as one over the acceleration's root."""
+    rough = _fastest(part)
+    for _ in range(SOFTER):
+        width, most = _rise(part, *rough), RAMP * rough[0][-1]
+        if not most < width < np.inf:
+            break
+        width = float(np.cbrt(most * most * width))
+        limits = part.limits._replace(acceleration=np.minimum(part.limits.acceleration, part.jerk * width))
+        rough = _fastest(part._replace(limits=limits))
+    return rough
+
+
 def _curved(part: _Part, rough: tuple[np.ndarray, ...], count: int) -> Law:
     """The law along a part, in so many moments, from a `rough` one whose accelerations jump."""
     time, place, speed = rough
@@ -132,7 +148,7 @@ def _curved(part: _Part, rough: tuple[np.ndarray, ...], count: int) -> Law:
     known = averaged(time, place, speed, width, count)
     share = np.ones((len(FALLS), len(part.jerk), len(known.time)))
     squares, laws = None, []
-    for _ in range(TURNS):
+    for turn in range(MOST):
         squares = _warp(part, known, share, squares)
         if squares is None:
             return UNKNOWN
@@ -140,7 +156,10 @@ def _curved(part: _Part, rough: tuple[np.ndarray, ...], count: int) -> Law:
         used, at = _used(part, law)
         if not np.isfinite(used).all():
             return UNKNOWN
-        laws.append(law.slower(float(np.max(used.max(axis=(1, 2)) ** (1.0 / FALLS)))))
+        slower = float(np.max(used.max(axis=(1, 2)) ** (1.0 / FALLS)))
+        laws.append(law.slower(slower))
+        if turn + 1 >= TURNS and slower < MISSED:
+            break
         share *= _left(used, np.searchsorted(known.place, at), len(known.time))
     return min(laws, key=lambda law: float(law.time[-1]))
 
