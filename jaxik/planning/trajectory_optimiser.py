@@ -29,7 +29,8 @@ from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
 from jaxik.optimise import splines
-from jaxik.planning.planner import HELP, ends, turned
+from jaxik.planning.motion_ends import ends, turned
+from jaxik.planning.plan_result import HELP
 from jaxik.planning.trajectory import JointPath, Trajectory, along_pieces
 from jaxik.planning.trajectory_search import Search, Solved, finer
 from jaxik.planning.trajectory_terms import Target, TrajectoryOptions, at_knot, told_apart

@@ -16,7 +16,8 @@ from jaxik.optimise import collocation, splines
 from jaxik.optimise.programme import Problem
 from jaxik.planning import limits
 from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker, judged
-from jaxik.planning.planner import Ends, PlanOptions, plan_motion
+from jaxik.planning.motion_ends import Ends
+from jaxik.planning.planner import PlanOptions, plan_motion
 from jaxik.planning.trajectory import along_pieces
 from jaxik.planning.trajectory_terms import Target, Terms, TrajectoryOptions, told_apart
 from jaxik.reasons import Reason
