@@ -39,7 +39,8 @@ def searched(
 
     If they are `compared`, the one is taken to which the way takes the least time, by lines that begin and end at rest: the one
     that the search has come to, or another one that is nearer, if as much search again finds it."""
-    others = [other_ways(space.robot, *each, space.lower, space.upper) for each in zip(starts, goals, strict=True)]
+    some = zip(starts, goals, strict=True)
+    others = [other_ways(space.robot, start, each, space.lower, space.upper) for start, each in some]
     most = np.where([len(each) > 0 for each in others], int(np.ceil(NEAREST * rounds)), rounds).astype(int)
     found = proven_ways(space, starts, goals, seed, most, _each(until, len(starts)), told, among)
     rows = [i for i, way in enumerate(found.ways) if way is None and len(others[i])]
@@ -48,7 +49,7 @@ def searched(
         every = [np.concatenate([goals[i], others[i]]) for i in rows]
         left = rounds - found.rounds[rows]
         _take(found, rows, proven_ways(space, starts[rows], every, seed, left, _each(until, len(rows)), tell, among[rows]))
-    if compared:
+    if compared and any(len(each) + len(more) > 1 for each, more in zip(goals, others, strict=True)):
         _compare(space, found, starts, goals, others, seed, until, limits, among)
     return found
 

@@ -86,6 +86,8 @@ def other_ways(robot: Robot, start: np.ndarray, goals: np.ndarray, lower: np.nda
     """The goals (k, n) that joints without limits come to by turning the other way around from the start (n,) than they do to
     goals (g, n), some of them or all: within the bounds (n,), and of each goal at most `OTHERS`, the nearest ones."""
     free = np.flatnonzero(endless(robot))
+    if not len(free):
+        return goals[:0]
     away = np.where(goals >= start, -TURN, TURN)
     found = []
     for goal, turn in zip(goals, away, strict=True):

@@ -24,6 +24,7 @@ HELP = {
     Reason.INVALID: "give finite numbers",
 }
 ESCAPES = "escape=True leads out of it first"
+NAMED = 100  # failures of a batch, at most, of which `why` names what is in the way; `moved[i].why` does of every other
 LOOKS = 17  # configurations between the trees of a search, of which is told what they hit
 
 
@@ -101,9 +102,14 @@ class PlanResult(Result):
             return np.nan
         return float(np.linalg.norm((self.stuck[1] - self.stuck[0]) * self.planned_in.weights))
 
+    @functools.cached_property
+    def _named(self) -> frozenset[int]:
+        """The rows of a batch whose offenders `why` names: looking them up takes milliseconds each."""
+        return frozenset(np.flatnonzero(self.reason)[:NAMED].tolist())
+
     def _words(self, reason: Reason, row: int) -> str:
         if not self.single:
-            return str(self[row].why) if reason else reason.text
+            return str(self[row].why) if row in self._named else super()._words(reason, row)
         told, mend = [reason.text], self.HELP.get(reason, "")
         told[0] = f"{self.where}: " * bool(self.where) + told[0]
         if self.offenders and self.where:

@@ -84,10 +84,15 @@ def plan_motion(
     `goal` is a configuration (n,), several (g, n), of which the one that is reached soonest is taken, as far as as much search
     again as for the first one tells, or a pose `base_T_tip` (4, 4) [m], for which `solve_ik` finds postures, and of which the
     one that is found first is taken; where the start has it, nothing moves. Many starts (b, n) have goals (b, n), (b, g, n),
-    filled up with NaN, or poses (b, 4, 4), and a list of b scenes, one each; one start, goal, pose or scene may serve all. Each
-    motion is as it is alone, whatever becomes of the others. Without a scene the robot keeps clear of itself alone.
+    filled up with NaN, poses (b, 4, 4), or several poses each (b, g, 4, 4), and a list of b scenes, one each; one start, goal,
+    pose or scene may serve all. Each motion is as it is alone, whatever becomes of the others. Without a scene the robot keeps
+    clear of itself alone.
 
-    A joint without limits takes the shorter turn, and to a pose every joint that may. The straight line is taken where it is
+    A goal is met but for full turns of joints without limits, which take the shorter way, or the other one where that is walled
+    in, within `winding` of zero (`PlanResult.turns`); joints with limits meet a configuration as it is, a pose on any turn.
+    With `escape` a start in collision, or outside the limits, is first led back inside, and out along the steepest clearance,
+    as far as 2 mm more than the margin: on lines on which the clearance falls nowhere that it is below the margin, at samples
+    half a millimetre apart, not proven (`PlanResult.escaped`). The straight line is taken where it is
     proven by `motion_clearance`'s bound. Else two trees find a way, and the shortest of the lines between its
     points that are proven is taken; its corners are rounded as far as that is proven, too; `time_path` times it. `seed`
     decides. `progress` is called with the motions that are done and their number; of a single one with rounds of the search.
@@ -95,10 +100,11 @@ def plan_motion(
 
     Reasons: SOLVED; INVALID, NaN in the start or the goal; LIMITS, COLLISION of the `start` or the `goal`, whichever is in
     `where`; OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED, no way found within the rounds and the timeout
-    that keeps 0.01 mm more than the margin, which is no proof that there is none.
+    that keeps 0.01 mm more than the margin, which is no proof that there is none; NO_WAY, a proof by cells that there is none,
+    of arms of three joints at most.
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Sources: Kuffner and LaValle, RRT-Connect, 2000;
-    Schwarzer et al. 2005; Pham and Pham 2018.
+    Schwarzer et al. 2005; Pham and Pham 2018; Zhang, Kim, Manocha 2008.
     """
     check_kind("plan_motion", "robot", robot, Robot)
     asked = ends("plan_motion", robot, start, goal, several_poses=True)
@@ -130,10 +136,9 @@ def _planned(
     space = CollisionChecker(robot, scene, options.margin, winding=options.winding)
     among = np.arange(len(asked.starts)) if space.world.several else np.zeros(len(asked.starts), int)
     places = _places(robot, scene, space, options, len(asked.starts))
-    at_start = judged(robot, space, asked.starts, among)
-    starts, escapes = _begun(space, places, asked.starts, at_start)
+    starts, escapes = _begun(robot, space, places, asked.starts, among) if options.escape else (asked.starts, {})
     answers = _goals(robot, scene, space, starts, asked, seed, options, limits)
-    goals, free, ended = _judged(robot, space, starts, at_start, answers, among)
+    goals, free, ended = _judged(robot, space, starts, answers, among)
     ways = _straight(space, starts, goals, free, limits, among)
     rows = np.array([i for i, way in enumerate(ways) if way is None and not ended.where[i]], int)
     total = options.rounds if asked.single else len(starts)
@@ -167,20 +172,19 @@ def _places(
     place = Place(robot, None, options.margin, space.lower, space.upper, space.weights, options.escape)
     if space.world.several:
         return tuple(dataclasses.replace(place, scene=each) for each in scene)  # type: ignore[union-attr]
-    return (dataclasses.replace(place, scene=scene),) * count
+    return (dataclasses.replace(place, scene=scene),) * count  # type: ignore[arg-type]
 
 
 def _begun(
-    space: CollisionChecker, places: Sequence[Place], starts: np.ndarray, reasons: np.ndarray
+    robot: Robot, space: CollisionChecker, places: Sequence[Place], starts: np.ndarray, among: np.ndarray
 ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
     """The starts (b, n) from which ways are sought, and by their number the ways (k, n) out of collision and back inside the
-    limits that lead to those that are not as they were given; their `reasons` are SOLVED then."""
-    needed = [i for i in np.flatnonzero(np.isin(reasons, (Reason.COLLISION, Reason.LIMITS))) if places[i].escape]
-    tried = {int(i): escaped(space, places[i].robot, places[i].scene, starts[i]) for i in needed}
-    found = {i: way for i, way in tried.items() if way is not None}
-    starts = np.array(starts)
+    limits that lead to those that are not as they were given."""
+    needed = np.flatnonzero(np.isin(judged(robot, space, starts, among), (Reason.COLLISION, Reason.LIMITS))).tolist()
+    tried = {i: escaped(space, robot, places[i].scene, starts[i]) for i in needed}
+    found, starts = {i: way for i, way in tried.items() if way is not None}, np.array(starts)
     for i, way in found.items():
-        starts[i], reasons[i] = way[-1], Reason.SOLVED
+        starts[i] = way[-1]
     return starts, found
 
 
@@ -212,12 +216,13 @@ class Ended(NamedTuple):
 
 
 def _judged(
-    robot: Robot, space: CollisionChecker, starts: np.ndarray, at_start: np.ndarray, answers: Answers, among: np.ndarray
+    robot: Robot, space: CollisionChecker, starts: np.ndarray, answers: Answers, among: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, Ended]:
     """The goals (b, g, n), which of them are free to go to from a start that is (b, g), and what is refused."""
     goals = answers.goals
-    at_goal = judged(robot, space, goals.reshape(-1, robot.num_joints), np.repeat(among, goals.shape[1]))
-    at_goal = at_goal.reshape(goals.shape[:2])
+    each = np.concatenate([among, np.repeat(among, goals.shape[1])])
+    verdicts = judged(robot, space, np.concatenate([starts, goals.reshape(-1, robot.num_joints)]), each)
+    at_start, at_goal = verdicts[: len(starts)], verdicts[len(starts) :].reshape(goals.shape[:2])
     free = (at_start[:, None] == Reason.SOLVED) & (at_goal == Reason.SOLVED)
     ended = Ended(answers.reason, [""] * len(starts), np.full((len(starts), 2, robot.num_joints), np.nan))
     for i in np.flatnonzero(answers.reason | at_start | ~free.any(axis=1)).tolist():
