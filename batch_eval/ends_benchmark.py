@@ -8,6 +8,7 @@ from example-robot-data. Collisions and clearances are judged by coal.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import time
 from pathlib import Path
@@ -17,6 +18,7 @@ import jax
 import numpy as np
 from peers.collision_peers import Coal
 from peers.panda import ROBOTS
+from planning_benchmark import length
 from race import clocked, machine
 from setups import motionbenchmaker
 
@@ -44,9 +46,9 @@ def quantiles(values: Any) -> list[float]:
 
 def finely(robot: jaxik.Robot, way: np.ndarray) -> np.ndarray:
     """Samples along waypoints (k, n), so near that no point of the robot moves further between them than `FINE`."""
-    reach = jaxik.collision.continuous_collision.joint_reaches(robot)
-    counts = [int(np.ceil(np.abs((b - a) * reach).sum() / FINE)) + 1 for a, b in zip(way[:-1], way[1:], strict=True)]  # noqa: RUF007
-    return np.concatenate([np.linspace(a, b, k + 1) for a, b, k in zip(way[:-1], way[1:], counts, strict=True)])
+    lines = list(itertools.pairwise(way))
+    counts = [int(np.ceil(length(robot, np.stack(line)) * np.sqrt(robot.num_joints) / FINE)) + 1 for line in lines]
+    return np.concatenate([np.linspace(a, b, k + 1) for (a, b), k in zip(lines, counts, strict=True)])
 
 
 def free_of(robot: jaxik.Robot, scene: jaxik.Scene | None, q: np.ndarray, least: float = 0.0) -> np.ndarray:

@@ -96,8 +96,8 @@ class Cells:
         self.free[where] = found - moved >= self.margin
 
     def meet(self, cells: np.ndarray) -> bool:
-        """Whether some of the cells connect the start with a goal. Of the open ones those that are not connected to the start
-        are closed."""
+        """Whether some of the cells connect the start with a goal. Open ones that are not connected to the start are
+        closed."""
         parts = _connected(cells, self.ring)
         place = np.floor((self.ends - self.lower) / self.width * cells.shape).astype(int)
         start, *goals = (parts[tuple(at)] for at in np.clip(place, 0, np.array(cells.shape) - 1))

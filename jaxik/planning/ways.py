@@ -62,8 +62,8 @@ def proven_ways(
         some = slice(first, first + TOGETHER)
         tell = lambda taken, ended, first=first: progress and progress(taken, first + ended)
         again = _proven_ways(space, starts[some], goals[some], seed, rounds[some], seconds, tell, among[some])
-        rounds, checked = np.append(found.rounds, again.rounds), np.append(found.checked, again.checked)
-        found = Found(found.ways + again.ways, rounds, checked, found.gaps + again.gaps)
+        taken, checked = (np.append(one, two) for one, two in zip(found[1:3], again[1:3], strict=True))
+        found = Found(found.ways + again.ways, taken, checked, found.gaps + again.gaps)
     return found
 
 

@@ -70,7 +70,7 @@ def test_of_several_poses_the_nearest_is_reached(arm):
 
 
 def test_each_goal_that_is_nearer_is_tried_once(arm, monkeypatch):
-    """Of goals that are all nearer than what was found first, each is sought, with what is left of the time."""
+    """Goals that are all nearer than what was found first are sought one by one, with what is left of the time."""
     from jaxik.planning import goal_search
     from jaxik.planning.collision_checker import CollisionChecker
     from jaxik.planning.limits import motion_limits
