@@ -23,6 +23,7 @@ from tables.motions import (
     planning_markdown,
     predictive_markdown,
     statistics_markdown,
+    trajectory_markdown,
 )
 from tables.postures import (
     base_markdown,
@@ -67,6 +68,7 @@ TABLES = {
     "teleoperation.json": teleoperation_markdown,
     "torque_estimation.json": torque_markdown,
     "touch.json": touch_markdown,
+    "trajectory_benchmark.json": trajectory_markdown,
 }
 
 

@@ -118,7 +118,7 @@ class Answers(NamedTuple):
 
 def postures(
     robot: Robot,
-    scene: Scene | None,
+    scene: Scene | Sequence[Scene] | None,
     starts: np.ndarray,
     poses: np.ndarray,
     count: int,
@@ -162,23 +162,14 @@ def postures_of_each(
     """The `postures` of several poses (b, g, 4, 4) of each start together (b, g postures, n), in one scene, or each in its own:
     solved where one of them is, or else by the reason of the one that comes furthest."""
     count, several = poses.shape[:2]
-    rows = np.repeat(starts, several, axis=0)
-    if scene is None or isinstance(scene, Scene):
-        found = postures(robot, scene, rows, poses.reshape(-1, 4, 4), *bound)
-    else:
-        each = [postures(robot, one, rows[some], poses[i], *bound) for i, (one, some) in enumerate(_by(scene, several))]
-        found = Answers(*map(np.concatenate, zip(*each, strict=True)))
+    scenes = scene if scene is None or isinstance(scene, Scene) else [each for each in scene for _ in range(several)]
+    found = postures(robot, scenes, np.repeat(starts, several, axis=0), poses.reshape(-1, 4, 4), *bound)
     reason = found.reason.reshape(count, several)
     rank = np.where(reason == Reason.SOLVED, 2 * len(Reason), np.where(reason == Reason.INVALID, -1, reason))
     best = np.argmax(rank, axis=1)
     pick = lambda x: np.take_along_axis(x.reshape(count, several, -1), best[:, None, None], axis=1)[:, 0]
     goals = found.goals.reshape(count, -1, found.goals.shape[2])
     return Answers(pick(reason)[:, 0], goals, pick(found.misses))
-
-
-def _by(scenes: Sequence[Scene], rows: int) -> list[tuple[Scene, slice]]:
-    """Each scene, and the rows that are its own."""
-    return [(scene, slice(rows * i, rows * (i + 1))) for i, scene in enumerate(scenes)]
 
 
 def _different(q: np.ndarray, count: int) -> np.ndarray:

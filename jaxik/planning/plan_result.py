@@ -51,6 +51,8 @@ class PlanResult(Result):
     where: "start" or "goal" where one of them is refused, else "".
     waypoints (k, n): straight lines between them are proven free as well; None where there is no motion.
     trajectory: a `Trajectory`, or None.
+    length, bound: the length of the straight lines between the waypoints, and of the one to the nearest goal, which no way is
+    shorter than; joints weighted by the most that their unit moves the robot [m]. NaN where there is no motion.
     rounds, checked: how many rounds of the search were taken, and how many configurations were checked for collision.
     goal: the number of the goal that is reached, where there are several; -1 where none is.
     turns (n,): by how many full turns of its joints without limits the last waypoint is beyond the goal as it was given.
@@ -63,6 +65,8 @@ class PlanResult(Result):
     where: Any = by_row(default="")
     waypoints: Any = None
     trajectory: Any = None
+    length: Any = float("nan")
+    bound: Any = float("nan")
     rounds: Any = 0
     checked: Any = 0
     goal: Any = -1

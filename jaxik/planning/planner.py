@@ -20,6 +20,7 @@ from jaxik.planning.cells import separated
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.escape import escaped
 from jaxik.planning.goal_search import searched
+from jaxik.planning.improvement import improved
 from jaxik.planning.limits import Limits, motion_limits
 from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, reached, turned
 from jaxik.planning.plan_result import Place, PlanResult
@@ -55,6 +56,13 @@ class PlanOptions(Options, who="plan_motion"):
     task: Task = instance(default=POSE, kind=Task, words="what a pose as the goal binds")
     postures: int = count(
         default=8, words="different postures of a pose among which the search may choose, the soonest ones first"
+    )
+    improve: float | None = number(
+        default=None,
+        least=0.0,
+        optional=True,
+        unit="s",
+        words="time to look for a shorter way, for each problem, of many on average; the clock says how far it comes",
     )
     winding: float | None = number(
         default=None,
@@ -140,29 +148,65 @@ def _planned(
     answers = _goals(robot, scene, space, starts, asked, seed, options, limits)
     goals, free, ended = _judged(robot, space, starts, answers, among)
     ways = _straight(space, starts, goals, free, limits, among)
-    rows = np.array([i for i, way in enumerate(ways) if way is None and not ended.where[i]], int)
     total = options.rounds if asked.single else len(starts)
     tell = progress or (lambda done, total: None)
-    told = lambda taken, done: tell(taken if asked.single else len(starts) - len(rows) + done, total)
-    until = np.inf if options.timeout is None else time.monotonic() + options.timeout * len(rows)
-    sought = [goals[i][free[i]] for i in rows]
-    found = searched(space, starts[rows], sought, asked.poses is None, seed, options.rounds, until, limits, told, among[rows])
-    rounds, checked = np.zeros((2, len(starts)), int)
-    rounds[rows], checked[rows] = found.rounds, found.checked
-    for i, way, gap, each in zip(rows.tolist(), found.ways, found.gaps, sought, strict=True):
-        ways[i] = way
-        if way is None:
-            none = separated(space, robot, places[i].scene, starts[i], each, until)
-            ended.reason[i], ended.stuck[i] = int(Reason.NO_WAY if none else Reason.NOT_CONVERGED), gap
-    tell(total, total)
+    told = lambda taken, done: tell(taken if asked.single else done, total)
+    sought = [each[some] for each, some in zip(goals, free, strict=True)]
+    rounds, checked = _search(
+        space, places, ways, starts, sought, ended, asked.poses is None, seed, options, limits, told, among
+    )
+    if options.improve:
+        _improve(space, ways, seed, options.improve, among)
     reach = _reached(robot, ways, goals if asked.poses is not None else asked.goals, asked, options)
+    bounds = np.array([np.nan if way is None else space.length(sought[i] - way[0]).min() for i, way in enumerate(ways)])
     lines = np.array([len(escapes[i]) - 1 if i in escapes and way is not None else 0 for i, way in enumerate(ways)], int)
     ways = [way if way is None or i not in escapes else np.concatenate([escapes[i][:-1], way]) for i, way in enumerate(ways)]
     moved = [i for i, way in enumerate(ways) if way is not None]
     timed = iter(_timed(robot, _rounded(space, [ways[i] for i in moved], among[moved]), limits, options.places))
     trajectories = tuple(None if way is None else next(timed) for way in ways)
-    where = tuple(ended.where)
-    return PlanResult(ended.reason, where, tuple(ways), trajectories, rounds, checked, *reach, lines, ended.stuck, places)
+    tell(total, total)
+    lengths = np.array([np.nan if way is None else space.length(np.diff(way, axis=0)).sum() for way in ways])
+    told_of = ended.reason, tuple(ended.where), tuple(ways), trajectories, lengths, bounds, rounds, checked
+    return PlanResult(*told_of, *reach, lines, ended.stuck, places)
+
+
+def _search(
+    space: CollisionChecker,
+    places: Sequence[Place],
+    ways: list[np.ndarray | None],
+    starts: np.ndarray,
+    goals: Sequence[np.ndarray],
+    ended: Ended,
+    compared: bool,
+    seed: int,
+    options: PlanOptions,
+    limits: Limits,
+    told: Callable[[int, int], Any],
+    among: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Puts a way where there is none yet and nothing is refused, or notes why not. Returns the rounds, and how many
+    configurations were checked (b,)."""
+    rows = np.array([i for i, way in enumerate(ways) if way is None and not ended.where[i]], int)
+    until = np.inf if options.timeout is None else time.monotonic() + options.timeout * len(rows)
+    tell = lambda taken, done: told(taken, len(starts) - len(rows) + done)
+    sought = [goals[i] for i in rows]
+    found = searched(space, starts[rows], sought, compared, seed, options.rounds, until, limits, tell, among[rows])
+    for i, way, gap in zip(rows.tolist(), found.ways, found.gaps, strict=True):
+        ways[i] = way
+        if way is None:
+            none = separated(space, places[i].robot, places[i].scene, starts[i], goals[i], until)
+            ended.reason[i], ended.stuck[i] = int(Reason.NO_WAY if none else Reason.NOT_CONVERGED), gap
+    rounds, checked = np.zeros((2, len(starts)), int)
+    rounds[rows], checked[rows] = found.rounds, found.checked
+    return rounds, checked
+
+
+def _improve(space: CollisionChecker, ways: list[np.ndarray | None], seed: int, seconds: float, among: np.ndarray) -> None:
+    """Puts shorter ways, as far as so many seconds each let them be found, in the place of those that are no straight lines."""
+    bent = {i: way for i, way in enumerate(ways) if way is not None and len(way) > 2}
+    shorter = improved(space, list(bent.values()), seed, seconds, among[list(bent)])
+    for (i, way), better in zip(bent.items(), shorter, strict=True):
+        ways[i] = np.concatenate([way[:1], better[1:-1], way[-1:]])  # the ends to the last bit
 
 
 def _places(

@@ -22,8 +22,8 @@ from jaxik.spmd.trace import TEAM_SIZE
 
 LOOKS = (0.05, 0.003), (0.025, 0.001), (0.0125, 0.0)  # steps of samples, and their cushion [m], one after another
 ROUNDS = 0.2, 0.5, 1.0  # of all, at which a search that has not arrived looks closer
-POINTS, AGAIN = 20, 3  # of a way, between which lines are tried, and how often at most
-BETTER = 0.98  # times as long as before, from which on it is not tried again
+POINTS, AGAIN = 14, 3  # of a way, between which lines are tried, and how often at most
+BETTER = 0.95  # times as long as before, from which on it is not tried again
 SHARES = 0.5 ** np.arange(1.0, 6.0)  # of the shorter line at a corner, at which its bend begins and ends
 CHORDS = 8
 CALL = 128  # rounds of the search between two looks at the clock
@@ -81,7 +81,7 @@ def _proven_ways(
     turns = np.broadcast_to(whole_turns(space.endless, starts), starts.shape)  # float32 has few digits left after many
     ends = [np.array([start, *goals]) - turn for start, goals, turn in zip(starts, goals, turns, strict=True)]
     ends, hopeless = _provable(space, ends, among)
-    ranges = [_search_range(space, each[0], turn) for each, turn in zip(ends, turns, strict=True)]
+    ranges = [search_range(space, each[0], turn) for each, turn in zip(ends, turns, strict=True)]
     lower = np.array([np.minimum(low, each.min(axis=0)) for (low, _), each in zip(ranges, ends, strict=True)])
     upper = np.array([np.maximum(high, each.max(axis=0)) for (_, high), each in zip(ranges, ends, strict=True)])
     searches = Searches(space, starts - turns, [each[1:] for each in ends], lower, upper, seed, among)
@@ -169,7 +169,7 @@ def _searched(searches: Searches, rows: np.ndarray, step: float, cushion: np.nda
         rows = rows[~ended[rows]]
 
 
-def _search_range(space: CollisionChecker, start: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def search_range(space: CollisionChecker, start: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`finite_limits`; those of a joint that lacks one are moved as far towards the start (n,) as its other one, and the bounds
     of `space`, which is a `turn` (n,) further, allow: how often it has turned before makes no difference to a search."""
     lower, upper = space.robot.finite_limits
@@ -206,10 +206,10 @@ def shortened(
         left = [i for i in left if len(found[i]) and space.length(np.diff(ways[i], axis=0)).sum() <= BETTER * lengths[i].sum()]
         if not left:
             break
-    return _proven_chains(space, places, found, chained, among), looked
+    return proven_chains(space, places, found, chained, among), looked
 
 
-def _proven_chains(
+def proven_chains(
     space: CollisionChecker,
     places: Sequence[Places],
     found: list[np.ndarray],

@@ -1,5 +1,6 @@
 """A scene for each of many problems: each motion is the one that its problem has alone."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -97,3 +98,31 @@ def test_more_goals_than_a_tree_has_room_for_at_first(arm):
     goals = np.tile(GOAL, (1500, 1)) + np.linspace(0.0, 0.1, 1500)[:, None]
     moved = plan_motion(robot, START, goals, scene=scenes()[0])
     assert moved and np.abs(goals - moved.waypoints[-1]).sum(axis=1).min() < 1e-12
+
+
+def test_answers_in_scenes(arm):
+    """A scene each: the answers, and what is in their way, are those of each target alone."""
+    robot, _ = arm
+    some, postures = scenes(), GOAL - np.linspace(0.0, 1.0, 7)[:, None]
+    poses = np.asarray(jax.vmap(lambda q: jaxik.forward_kinematics(robot, q))(postures))
+    told = []
+    many = jaxik.solve_ik(robot, poses, scene=some, seed=2, progress=lambda done, total: told.append((done, total)))
+    assert told[-1] == (7, 7) and not many.success.all() and many.success.sum() > 2
+    for i, scene in enumerate(some):
+        alone = jaxik.solve_ik(robot, poses[i], scene=scene, seed=2)
+        np.testing.assert_array_equal(many[i].q, alone.q)
+        assert (many[i].reason, many[i].clearance) == (alone.reason, alone.clearance)
+        assert list(map(str, many[i].offenders)) == list(map(str, alone.offenders))
+    assert [len(each) for each in many[many.reason == jaxik.Reason.COLLISION].offenders] > [0]
+    same = jaxik.solve_ik(robot, poses[0], scene=[some[0]] * 3)
+    np.testing.assert_array_equal(same.q, np.tile(same.q[:1], (3, 1)))
+    with pytest.raises(ValueError, match="2 scenes for 7 targets"):
+        jaxik.solve_ik(robot, poses, scene=some[:2])
+
+
+def test_a_function_is_mapped_over_scenes(arm):
+    robot, _ = arm
+    q, some = np.random.default_rng(2).uniform(-1.0, 1.0, (3, 3)), scenes()[:3]
+    near = lambda scene, q: jaxik.clearance(robot, scene, q)
+    found = jax.jit(jax.vmap(near))(jaxik.Scene.stacked(some), q)
+    np.testing.assert_allclose(found, [near(scene, each) for scene, each in zip(some, q, strict=True)], atol=1e-5)
