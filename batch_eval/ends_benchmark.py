@@ -110,19 +110,25 @@ def poses(robot: jaxik.Robot, goals: list[Any]) -> dict[str, Any]:
     for goal in goals:
         pose = np.asarray(jaxik.forward_kinematics(robot, goal.q))
         ask = [lambda what=what, goal=goal: plan_motion(robot, goal.start, what, scene=goal.scene) for what in (goal.q, pose)]
-        both = [[clocked(one) for one in ask] for _ in range(3)]
-        rows.append([(both[0][k][0], min(run[k][1] for run in both)) for k in range(2)])
+        both = [[(clocked(one), time.process_time()) for one in (lambda: None, *ask)] for _ in range(3)]
+        cpu = [[run[k + 1][1] - run[k][1] for k in range(2)] for run in both]
+        rows.append(
+            [(*both[0][k + 1][0][:1], min(run[k + 1][0][1] for run in both), min(np.array(cpu)[:, k])) for k in range(2)]
+        )
     posture, pose = ([row[k] for row in rows] for k in range(2))
     solved = [i for i in range(len(rows)) if posture[i][0] and pose[i][0]]
     more = [1e3 * (pose[i][1] - posture[i][1]) for i in solved]
+    worked = [1e3 * (pose[i][2] - posture[i][2]) for i in solved]
     result = {
         "problems": len(rows),
-        "postures_solved": sum(bool(moved) for moved, _ in posture),
-        "poses_solved": sum(bool(moved) for moved, _ in pose),
+        "postures_solved": sum(bool(row[0]) for row in posture),
+        "poses_solved": sum(bool(row[0]) for row in pose),
         "posture_ms": quantiles([1e3 * posture[i][1] for i in solved]),
         "pose_ms": quantiles([1e3 * pose[i][1] for i in solved]),
         "more_ms": quantiles(more),
         "more_ms_mean": float(np.mean(more)),
+        "more_cpu_ms": quantiles(worked),  # which other work on the machine does not touch
+        "more_cpu_ms_mean": float(np.mean(worked)),
         "posture_s": float(np.mean([posture[i][0].trajectory.duration for i in solved])),
         "pose_s": float(np.mean([pose[i][0].trajectory.duration for i in solved])),
         "failed": {goals[i].name: pose[i][0].why for i in range(len(rows)) if posture[i][0] and not pose[i][0]},
