@@ -1,6 +1,7 @@
 """Motions from posture to posture: paths through the space of joints, free of collision, and their timing."""
 
-from jaxik.planning.planner import PlanOptions, PlanResult, plan_motion
+from jaxik.planning.plan_result import PlanResult
+from jaxik.planning.planner import PlanOptions, plan_motion
 from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.planning.trajectory_files import load_trajectory, save_trajectory

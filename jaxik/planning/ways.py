@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.kinematics.joint_turns import whole_turns
-from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker
 from jaxik.planning.shortcuts import Places, chains
 from jaxik.planning.trajectory import JointPath
@@ -34,11 +33,13 @@ PATIENCE, SPREADS = 1024, 1.1  # rounds in which a tree becomes so many times as
 
 
 class Found(NamedTuple):
-    """Ways, or None where there is none; and for each the `rounds` of its search, and how many configurations it looked at."""
+    """Ways, or None where there is none; for each the `rounds` of its search, and how many configurations it looked at; and
+    where there is no way, the places (2, n) at which the trees came nearest to each other."""
 
     ways: list[np.ndarray | None]
     rounds: np.ndarray
     checked: np.ndarray
+    gaps: list[np.ndarray | None]
 
 
 def proven_ways(
@@ -56,12 +57,13 @@ def proven_ways(
     rounds of the first one and with how many have ended. Each is `among` what is in the scene of such a number (b,), and as it
     is alone."""
     among = np.zeros(len(starts), int) if among is None else among
-    found = Found([], np.zeros(0, int), np.zeros(0, int))
+    found = Found([], np.zeros(0, int), np.zeros(0, int), [])
     for first in range(0, len(starts), TOGETHER):
         some = slice(first, first + TOGETHER)
         tell = lambda taken, ended, first=first: progress and progress(taken, first + ended)
         again = _proven_ways(space, starts[some], goals[some], seed, rounds[some], seconds, tell, among[some])
-        found = Found(found.ways + again.ways, *map(np.append, found[1:], again[1:]))
+        taken, checked = (np.append(one, two) for one, two in zip(found[1:3], again[1:3], strict=True))
+        found = Found(found.ways + again.ways, taken, checked, found.gaps + again.gaps)
     return found
 
 
@@ -79,7 +81,7 @@ def _proven_ways(
     turns = np.broadcast_to(whole_turns(space.endless, starts), starts.shape)  # float32 has few digits left after many
     ends = [np.array([start, *goals]) - turn for start, goals, turn in zip(starts, goals, turns, strict=True)]
     ends, hopeless = _provable(space, ends, among)
-    ranges = [search_range(space.robot, each[0]) for each in ends]
+    ranges = [search_range(space, each[0], turn) for each, turn in zip(ends, turns, strict=True)]
     lower = np.array([np.minimum(low, each.min(axis=0)) for (low, _), each in zip(ranges, ends, strict=True)])
     upper = np.array([np.maximum(high, each.max(axis=0)) for (_, high), each in zip(ranges, ends, strict=True)])
     searches = Searches(space, starts - turns, [each[1:] for each in ends], lower, upper, seed, among)
@@ -106,12 +108,13 @@ def _proven_ways(
                 if way is None:
                     searches.begin(i)
                     continue
-                goals_of = ends[i][1:]
-                way[0], way[-1] = ends[i][0], goals_of[np.argmin(np.abs(goals_of - way[-1]).sum(axis=1))]
                 ways[i] = way + turns[i]
+                nearest = np.argmin(np.abs(goals[i] - ways[i][-1]).sum(axis=1))
+                ways[i][0], ways[i][-1] = starts[i], goals[i][nearest]  # to the last bit
                 clock.ended += 1
             left = np.array([i for i in left if ways[i] is None and searches.taken[i] < limit[i]], int)
-    return Found(ways, searches.taken, checked + TEAM_SIZE * searches.taken)
+    gaps = [None if way is not None else searches.gap(i) + turns[i] for i, way in enumerate(ways)]
+    return Found(ways, searches.taken, checked + TEAM_SIZE * searches.taken, gaps)
 
 
 def _provable(space: CollisionChecker, ends: Sequence[np.ndarray], among: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
@@ -166,13 +169,14 @@ def _searched(searches: Searches, rows: np.ndarray, step: float, cushion: np.nda
         rows = rows[~ended[rows]]
 
 
-def search_range(robot: Robot, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`finite_limits`; those of a joint that lacks one are moved as far towards the start (n,) as its other one allows:
-    how often it has turned before makes no difference to a search."""
-    lower, upper = robot.finite_limits
+def search_range(space: CollisionChecker, start: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`finite_limits`; those of a joint that lacks one are moved as far towards the start (n,) as its other one, and the bounds
+    of `space`, which is a `turn` (n,) further, allow: how often it has turned before makes no difference to a search."""
+    lower, upper = space.robot.finite_limits
+    robot = space.robot
     least, most = (np.where(np.isfinite(limit), 0.0, end) for limit, end in ((robot.lower, -np.inf), (robot.upper, np.inf)))
     moved = np.clip(start - 0.5 * (lower + upper), least, most)
-    return lower + moved, upper + moved
+    return np.maximum(lower + moved, space.lower - turn), np.minimum(upper + moved, space.upper - turn)
 
 
 def shortened(
