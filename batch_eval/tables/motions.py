@@ -136,6 +136,27 @@ def planning_markdown(result: dict[str, Any]) -> str:
     )
 
 
+def jerk_markdown(result: dict[str, Any]) -> str:
+    """Motions with a limit of the jerk, a row for each."""
+    lines = [
+        "| limits of the jerk | solved, free | velocity, acceleration, jerk, at most of their limits | to the motion without | "
+        "through the waypoints, to Ruckig | its timing; the call; without jerk |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, row in result.items():
+        if not isinstance(row, dict) or "problems" not in row:
+            continue
+        used = ", ".join(f"{row[f'share_of_{kind}']:.5f}" for kind in ("velocity", "acceleration", "jerk"))
+        lines.append(
+            f"| {name} | {row['solved']}, {row['free']} of {row['problems']} | {used} | "
+            f"{row['to_without_jerk_mean']:.3f} (at most {row['to_without_jerk_most']:.2f}) | "
+            f"at most {row['lines_to_ruckig_most']:.3f}; {row['lines_to_ruckig_on_lines_most']:.3f} where it stays on the "
+            f"lines, {row['ruckig_on_lines']} of {row['solved']} | "
+            f"{row['ms_timing_p50']:.0f} ms; {row['ms_p50']:.0f} ms; {row['ms_without_p50']:.0f} ms |"
+        )
+    return "\n".join(lines)
+
+
 def trajectory_markdown(result: dict[str, Any]) -> str:
     """Optimised motions beside planned ones."""
     verbs = {name: result[name] for name in ("plan_motion", "optimise_trajectory")}

@@ -21,8 +21,10 @@ FLAGS = flags(
     margin=float,
     velocity=float | None,
     acceleration=float | None,
+    jerk=float | None,
     rounds=int,
     timeout=float | None,
+    improve=float | None,
     winding=float | None,
     escape=bool,
 )

@@ -21,7 +21,7 @@ from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.escape import escaped
 from jaxik.planning.goal_search import searched
 from jaxik.planning.improvement import improved
-from jaxik.planning.limits import Limits, motion_limits
+from jaxik.planning.limits import Limits, limit_of, motion_limits
 from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, reached, turned
 from jaxik.planning.plan_result import Place, PlanResult
 from jaxik.planning.timing import time_path
@@ -41,6 +41,9 @@ class PlanOptions(Options, who="plan_motion"):
         default=None,
         unit="rad/s2, m/s2",
         words="limits of acceleration, one number or one a joint; None is four times the velocity a second",
+    )
+    jerk: Any = per_joint(
+        default=None, unit="rad/s3, m/s3", words="limits of jerk, one number or one a joint; None is no limit"
     )
     rounds: int = count(
         default=50_000,
@@ -72,7 +75,9 @@ class PlanOptions(Options, who="plan_motion"):
         words="how far joints without limits may be from zero on the way, for what hangs on them; None is as far as they like",
     )
     escape: bool = flag(default=False, words="whether a start in collision or outside its limits is first led out of that")
-    places: int = count(default=128, words="number of places at which the speed is chosen (`time_path`)")
+    places: int = count(
+        default=128, words="number of places at which the speed is chosen (`time_path`), twice as many within a jerk limit"
+    )
 
 
 def plan_motion(
@@ -87,7 +92,8 @@ def plan_motion(
     **changes: Any,
 ) -> PlanResult:
     """A motion from `start` (n,) to `goal`, at rest at both, that keeps the margin to the scene and to the robot itself on its
-    whole way, not at samples, and the limits of position, velocity and acceleration. Host driver.
+    whole way, not at samples, and the limits of position, velocity and acceleration, and of `jerk`, where there is one. Host
+    driver.
 
     `goal` is a configuration (n,), several (g, n), of which the one that is reached soonest is taken, as far as as much search
     again as for the first one tells, or a pose `base_T_tip` (4, 4) [m], for which `solve_ik` finds postures, and of which the
@@ -141,6 +147,7 @@ def _planned(
 ) -> PlanResult:
     """Plans each of the problems, of which what all have in common is asked once: postures, straight lines, the timing."""
     limits = motion_limits("plan_motion", robot, options.velocity, options.acceleration, (robot.num_joints,))
+    jerk = None if options.jerk is None else limit_of("plan_motion", "jerk", options.jerk, (robot.num_joints,))
     space = CollisionChecker(robot, scene, options.margin, winding=options.winding)
     among = np.arange(len(asked.starts)) if space.world.several else np.zeros(len(asked.starts), int)
     places = _places(robot, scene, space, options, len(asked.starts))
@@ -162,7 +169,8 @@ def _planned(
     lines = np.array([len(escapes[i]) - 1 if i in escapes and way is not None else 0 for i, way in enumerate(ways)], int)
     ways = [way if way is None or i not in escapes else np.concatenate([escapes[i][:-1], way]) for i, way in enumerate(ways)]
     moved = [i for i, way in enumerate(ways) if way is not None]
-    timed = iter(_timed(robot, _rounded(space, [ways[i] for i in moved], among[moved]), limits, options.places))
+    paths = _rounded(space, [ways[i] for i in moved], among[moved], smooth=jerk is not None)
+    timed = iter(_timed(robot, paths, limits, jerk, options.places))
     trajectories = tuple(None if way is None else next(timed) for way in ways)
     tell(total, total)
     lengths = np.array([np.nan if way is None else space.length(np.diff(way, axis=0)).sum() for way in ways])
@@ -306,17 +314,20 @@ def _straight(
     return [np.stack([starts[i], goals[i, k]]) if np.isfinite(times[i, k]) else None for i, k in best]
 
 
-def _rounded(space: CollisionChecker, ways: list[np.ndarray], among: np.ndarray) -> list[JointPath]:
-    """Rounds the corners of ways; each path has a power of two of pieces, so that programs are few."""
+def _rounded(space: CollisionChecker, ways: list[np.ndarray], among: np.ndarray, smooth: bool) -> list[JointPath]:
+    """Rounds the corners of ways, `smooth` with a continuous second derivative; each path has a power of two of pieces, so that
+    programs are few."""
     moves = [i for i, way in enumerate(ways) if (way[1:] != way[:-1]).any()]
     paths = {i: JointPath.polyline(way) for i, way in enumerate(ways) if i not in moves}
     if moves:
-        paths |= dict(zip(moves, blended(space, [ways[i] for i in moves], among[moves]), strict=True))
+        paths |= dict(zip(moves, blended(space, [ways[i] for i in moves], among[moves], smooth), strict=True))
     return [padded(paths[i], 2 ** max(2, int(np.ceil(np.log2(len(paths[i].lengths)))))) for i in range(len(ways))]
 
 
-def _timed(robot: Robot, paths: list[JointPath], limits: Limits, places: int) -> list[Trajectory]:
-    """Times the paths, those of as many pieces together."""
+def _timed(robot: Robot, paths: list[JointPath], limits: Limits, jerk: np.ndarray | None, places: int) -> list[Trajectory]:
+    """Times the paths, those of as many pieces together; one by one within a limit of the jerk, as moments differ in number."""
+    if jerk is not None:
+        return [time_path(path, **limits._asdict(), jerk=jerk, places=2 * places, robot=robot) for path in paths]
     timed: dict[int, Trajectory] = {}
     pieces = np.array([len(path.lengths) for path in paths], int)
     for size in np.unique(pieces):
