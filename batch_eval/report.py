@@ -18,6 +18,7 @@ from tables.collision import (
 from tables.forces import dynamics_markdown, identification_markdown, torque_markdown, touch_markdown
 from tables.motions import (
     astar_markdown,
+    ends_markdown,
     harvest_motions_markdown,
     jerk_markdown,
     peppers_markdown,
@@ -52,6 +53,7 @@ TABLES = {
     "collision_scenes.json": scenes_markdown,
     "collision_scaling.json": scaling_markdown,
     "dynamics_benchmark.json": dynamics_markdown,
+    "ends_benchmark.json": ends_markdown,
     "general_arms.json": general_markdown,
     "harvest_motions.json": harvest_motions_markdown,
     "identification.json": identification_markdown,
