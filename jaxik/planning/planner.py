@@ -154,7 +154,7 @@ def _planned(
     straight = _straight(space, starts, goals, free, limits)
     where, ways = [""] * len(starts), list(straight)
     for i in np.flatnonzero(reason | at_start | ~free.any(axis=1)).tolist():
-        reason[i], where[i] = _refused(int(reason[i]), int(at_start[i]), at_goal[i])
+        reason[i], where[i] = refusal(int(reason[i]), int(at_start[i]), at_goal[i])
     rows = np.array([i for i, way in enumerate(ways) if way is None and not where[i]], int)
     total = options.rounds if asked.single else len(starts)
     tell = progress or (lambda done, total: None)
@@ -165,12 +165,12 @@ def _planned(
     for i, way in zip(rows.tolist(), found.ways, strict=True):
         ways[i], reason[i] = way, int(Reason.NOT_CONVERGED if way is None else Reason.SOLVED)
     tell(total, total)
-    timed = iter(_timed(robot, _rounded(space, [way for way in ways if way is not None]), limits, options.places))
-    trajectories = tuple(None if way is None else next(timed) for way in ways)
+    motions = iter(timed(robot, rounded(space, [way for way in ways if way is not None]), limits, options.places))
+    trajectories = tuple(None if way is None else next(motions) for way in ways)
     return PlanResult(reason, tuple(where), tuple(ways), trajectories, rounds, checked)
 
 
-def _refused(pose: int, start: int, goals: np.ndarray) -> tuple[int, str]:
+def refusal(pose: int, start: int, goals: np.ndarray) -> tuple[int, str]:
     """The reason, and where it is, by the reasons of the pose, the start and the goals, of which the furthest one speaks."""
     if pose or not start:
         return pose or max((int(r) for r in goals if r != Reason.INVALID), default=int(Reason.INVALID)), "goal"
@@ -228,7 +228,7 @@ def _searched(
     return found
 
 
-def _rounded(space: CollisionChecker, ways: list[np.ndarray]) -> list[JointPath]:
+def rounded(space: CollisionChecker, ways: list[np.ndarray]) -> list[JointPath]:
     """Rounds the corners of ways; each path has a power of two of pieces, so that programs are few."""
     moves = [i for i, way in enumerate(ways) if (way[1:] != way[:-1]).any()]
     paths = {i: JointPath.polyline(way) for i, way in enumerate(ways) if i not in moves}
@@ -237,20 +237,20 @@ def _rounded(space: CollisionChecker, ways: list[np.ndarray]) -> list[JointPath]
     return [padded(paths[i], 2 ** max(2, int(np.ceil(np.log2(len(paths[i].lengths)))))) for i in range(len(ways))]
 
 
-def _timed(robot: Robot, paths: list[JointPath], limits: Limits, places: int) -> list[Trajectory]:
+def timed(robot: Robot, paths: list[JointPath], limits: Limits, places: int) -> list[Trajectory]:
     """Times the paths, those of as many pieces together."""
-    timed: dict[int, Trajectory] = {}
+    motions: dict[int, Trajectory] = {}
     pieces = np.array([len(path.lengths) for path in paths], int)
     for size in np.unique(pieces):
         rows = np.flatnonzero(pieces == size)
         if len(rows) == 1:  # it need not be stacked
-            timed[rows[0]] = time_path(paths[rows[0]], **limits._asdict(), places=places, robot=robot)
+            motions[rows[0]] = time_path(paths[rows[0]], **limits._asdict(), places=places, robot=robot)
             continue
         stack = jax.tree_util.tree_map(lambda *x: np.stack(x), *(paths[i] for i in rows))
         together = time_path(stack, **limits._asdict(), places=places, robot=robot)
         for k, i in enumerate(rows.tolist()):
-            timed[i] = jax.tree_util.tree_map(lambda x, k=k: x[k], together)
-    return [timed[i] for i in range(len(paths))]
+            motions[i] = jax.tree_util.tree_map(lambda x, k=k: x[k], together)
+    return [motions[i] for i in range(len(paths))]
 
 
 class Ends(NamedTuple):

@@ -1,0 +1,207 @@
+"""Questions to a roadmap: how postures hang together with its nodes, and the shortest ways between them."""
+
+from __future__ import annotations
+
+import collections
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxik.collision.scene import Scene
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import POSE, Task
+from jaxik.options import Options, count, instance, per_joint
+from jaxik.planning.collision_checker import CollisionChecker, judged
+from jaxik.planning.limits import Limits, motion_limits
+from jaxik.planning.planner import Ends, PlanResult, ends, postures, refusal, rounded, timed, turned
+from jaxik.planning.roadmap_graph import Graph, Neighbours, Tree, unwound
+from jaxik.planning.ways import LOOKS, proven_ways, shortened
+from jaxik.reasons import Reason
+
+KEPT = 2**28  # bytes of trees that are kept
+FURTHER = 8  # times as many nodes that are tried where no line to the nearest ones is free
+
+
+class QueryOptions(Options, who="Roadmap"):
+    """What a way on a roadmap may take, and the timing of a plan."""
+
+    velocity: Any = per_joint(
+        default=None, unit="rad/s, m/s", words="limits of velocity, one number or one a joint; None is the robot's"
+    )
+    acceleration: Any = per_joint(
+        default=None,
+        unit="rad/s2, m/s2",
+        words="limits of acceleration, one number or one a joint; None is four times the velocity a second",
+    )
+    near: int = count(default=8, words="nearest nodes that a posture is joined to; where it is to none, eight times as many")
+    rounds: int = count(default=0, least=0, words="edges that a search tries where the roadmap knows no way; 0: none")
+    task: Task = instance(default=POSE, kind=Task, words="what a pose as the goal binds")
+    postures: int = count(default=8, words="different postures of a pose among which to choose, the soonest ones")
+    places: int = count(default=128, words="number of places at which the speed is chosen (`time_path`)")
+
+
+class Joined(NamedTuple):
+    """The nodes (k,) that a posture has proven lines to, and how long these are (k,) [m]."""
+
+    nodes: np.ndarray
+    lengths: np.ndarray
+
+
+class Goal(NamedTuple):
+    """Goals (g, n), the ways to the nearest of them, and to which of them the nodes that are joined to one directly go."""
+
+    postures: np.ndarray
+    tree: Tree
+    to: dict[int, int]
+
+
+class Queries:
+    """The questions to one roadmap in one scene, and what was found for earlier ones."""
+
+    def __init__(
+        self, space: CollisionChecker, robot: Robot, scene: Scene | None, nodes: np.ndarray, graph: Graph, near: Neighbours
+    ):
+        self.space, self.robot, self.scene, self.nodes, self.graph, self.near = space, robot, scene, nodes, graph, near
+        joined = np.flatnonzero(np.diff(graph.first))  # one without a line is asked for like any other posture
+        self.number = {nodes[i].tobytes(): i for i in joined[::-1].tolist()}
+        self.goals: collections.OrderedDict[Any, Goal] = collections.OrderedDict()
+        self.most = max(16, KEPT // (12 * len(nodes)))
+
+    def way(self, start: Any, goal: Any, seed: int, options: QueryOptions) -> PlanResult:
+        """The answer of `Roadmap.way`."""
+        found = self._between_nodes(start, goal, options)
+        if found is not None:
+            return PlanResult(Reason.SOLVED, "", found)
+        asked = ends("Roadmap.way", self.robot, start, goal)
+        result = self._ways(asked, seed, options, self._limits("Roadmap.way", options))
+        return result[0] if asked.single else result
+
+    def plan(self, start: Any, goal: Any, seed: int, options: QueryOptions) -> PlanResult:
+        """The answer of `Roadmap.plan`."""
+        asked, limits = ends("Roadmap.plan", self.robot, start, goal), self._limits("Roadmap.plan", options)
+        found = self._ways(asked, seed, options, limits)
+        ways, checked = list(found.waypoints), found.checked.copy()
+        bent = [i for i, way in enumerate(ways) if way is not None and len(way) > 2]
+        shorter, looked = shortened(self.space, [ways[i] for i in bent], LOOKS[0][0], np.zeros(len(bent)))
+        checked[bent] += looked
+        for i, way in zip(bent, shorter, strict=True):
+            ways[i] = ways[i] if way is None else way
+        solved = [way for way in ways if way is not None]
+        motions = iter(timed(self.robot, rounded(self.space, solved), limits, options.places) if solved else ())
+        trajectories = tuple(None if way is None else next(motions) for way in ways)
+        result = PlanResult(found.reason, found.where, tuple(ways), trajectories, found.rounds, checked)
+        return result[0] if asked.single else result
+
+    def _limits(self, who: str, options: QueryOptions) -> Limits:
+        return motion_limits(who, self.robot, options.velocity, options.acceleration, (self.robot.num_joints,))
+
+    def _between_nodes(self, start: Any, goal: Any, options: QueryOptions) -> np.ndarray | None:
+        """The waypoints between two different nodes, soon; None where they are no such nodes, or have no way."""
+        if not all(isinstance(q, np.ndarray) and q.shape == self.nodes.shape[1:] for q in (start, goal)):
+            return None
+        begin, end = self.number.get(start.tobytes()), self.number.get(goal.tobytes())
+        if begin is None or end is None or begin == end:
+            return None
+        found = self._goals([goal[None]], options.near)[0]
+        return self._way(start, Joined(np.array([begin]), np.zeros(1)), found)
+
+    def _ways(self, asked: Ends, seed: int, options: QueryOptions, limits: Limits) -> PlanResult:
+        """The ways of a batch of problems."""
+        starts, goals, reason = asked.starts, asked.goals, np.zeros(len(asked.starts), int)
+        looked = self.space.checked
+        if asked.poses is None:
+            goals = turned(self.robot, starts, goals)
+        else:
+            bound = options.postures, limits, seed, options.task, float(self.space.margin)
+            posed, goals = postures(self.robot, self.scene, starts, asked.poses, *bound)
+            reason = np.array(posed, int)
+        verdicts = judged(self.robot, self.space, np.concatenate([starts, goals.reshape(-1, starts.shape[1])]))
+        at_start, at_goal = verdicts[: len(starts)], verdicts[len(starts) :].reshape(goals.shape[:2])
+        free = (at_start[:, None] == Reason.SOLVED) & (at_goal == Reason.SOLVED)
+        where, ways = [""] * len(starts), self._straight(starts, goals, free)
+        for i in np.flatnonzero(reason | at_start | ~free.any(axis=1)).tolist():
+            reason[i], where[i] = refusal(int(reason[i]), int(at_start[i]), at_goal[i])
+        rows = [i for i, way in enumerate(ways) if way is None and not where[i]]
+        ends_at = self._goals([goals[i][free[i]] for i in rows], options.near)
+        for i, joined, end in zip(rows, self._joined(starts[rows], options.near), ends_at, strict=True):
+            ways[i] = self._way(starts[i], joined, end)
+        rounds, checked = np.zeros((2, len(starts)), int)
+        left = np.array([i for i in rows if ways[i] is None], int)
+        if len(left) and options.rounds:
+            most = np.full(len(left), options.rounds)
+            found = proven_ways(self.space, starts[left], [goals[i][free[i]] for i in left], seed, most)
+            rounds[left], checked[left] = found.rounds, found.checked
+            for i, way in zip(left.tolist(), found.ways, strict=True):
+                ways[i] = way
+        reason[[i for i in rows if ways[i] is None]] = int(Reason.NOT_CONVERGED)
+        checked += (self.space.checked - looked) // max(1, len(starts))
+        return PlanResult(reason, tuple(where), tuple(ways), (None,) * len(starts), rounds, checked)
+
+    def _straight(self, starts: np.ndarray, goals: np.ndarray, free: np.ndarray) -> list[np.ndarray | None]:
+        """The shortest straight line from each start to a free goal, of those that are proven, or None; not between two
+        different nodes, whose way is the roadmap's."""
+        known = lambda rows: np.array([q.tobytes() in self.number for q in rows.reshape(-1, rows.shape[-1])], bool)
+        both = known(starts)[:, None] & known(goals).reshape(free.shape) & (goals != starts[:, None]).any(axis=2)
+        row, which = np.nonzero(free & ~both)
+        begin, end, lengths = starts[row], goals[row, which], np.full(free.shape, np.inf)
+        found = self._free(begin, end)
+        lengths[row, which] = np.where(found, self.space.length(end - begin), np.inf)
+        best = [(i, int(np.argmin(each))) for i, each in enumerate(lengths)]
+        return [np.stack([starts[i], goals[i, k]]) if np.isfinite(lengths[i, k]) else None for i, k in best]
+
+    def _free(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """Whether straight lines (b, n) are proven free."""
+        found = self.space.free_part(start, end, LOOKS[0][0]) == 1.0
+        moved = found & (start != end).any(axis=1)
+        found[moved] = self.space.proven_closely(start[moved], end[moved])
+        return found
+
+    def _joined(self, q: np.ndarray, near: int) -> list[Joined]:
+        """The nodes that postures (b, n) have proven lines to; a node has one to itself."""
+        numbers = [self.number.get(row.tobytes()) for row in q]
+        found = [Joined(np.array([] if i is None else [i], int), np.zeros(0 if i is None else 1)) for i in numbers]
+        for most in (near, FURTHER * near):
+            left = [row for row, each in enumerate(found) if not len(each.nodes)]
+            if not left:
+                break
+            nodes = self.near.nearest(q[left], most)
+            begin = np.repeat(q[left], nodes.shape[1], axis=0)
+            end = unwound(np.stack([begin, self.nodes[nodes.ravel()]]), self.space.endless)[1]
+            free = self._free(begin, end).reshape(nodes.shape)
+            lengths = self.space.length(end - begin).reshape(nodes.shape)
+            for row, each in enumerate(left):
+                found[each] = Joined(nodes[row, free[row]], lengths[row, free[row]])
+        return found
+
+    def _goals(self, goals: list[np.ndarray], near: int) -> list[Goal]:
+        """What is known of the ways to each of these sets of goals (g, n), and is found where it is not."""
+        keys = [(near, each.tobytes()) for each in goals]
+        new = {key: each for key, each in zip(keys, goals, strict=True) if key not in self.goals}
+        if new:
+            joined = iter(self._joined(np.concatenate(list(new.values())), near))
+            made = {key: self._goal(each, [next(joined) for _ in each]) for key, each in new.items()}
+            known = made | {key: self.goals[key] for key in keys if key not in made}
+            self.goals.update(made)
+            while len(self.goals) > self.most:
+                self.goals.popitem(last=False)
+            return [known[key] for key in keys]
+        return [self.goals[key] for key in keys]
+
+    def _goal(self, goals: np.ndarray, joined: list[Joined]) -> Goal:
+        least: dict[int, tuple[float, int]] = {}
+        for k, each in enumerate(joined):
+            for node, length in zip(each.nodes.tolist(), each.lengths.tolist(), strict=True):
+                least[node] = min(least.get(node, (np.inf, k)), (length, k))
+        tree = self.graph.toward(np.array(list(least), int), np.array([length for length, _ in least.values()]))
+        return Goal(goals, tree, {node: k for node, (_, k) in least.items()})
+
+    def _way(self, start: np.ndarray, joined: Joined, goal: Goal) -> np.ndarray | None:
+        """The waypoints (k, n) of the shortest way, or None."""
+        lengths = joined.lengths + goal.tree.length[joined.nodes]
+        if not len(lengths) or not np.isfinite(least := lengths.min()):
+            return None
+        nodes = goal.tree.way(int(joined.nodes[np.argmax(lengths == least)]))
+        points = np.vstack([start, self.nodes[nodes], goal.postures[goal.to[nodes[-1]]]])
+        kept = np.ones(len(points), bool)
+        kept[1:] = (points[1:] != points[:-1]).any(axis=1)
+        return unwound(points[kept], self.space.endless)
