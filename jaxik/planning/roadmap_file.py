@@ -84,7 +84,7 @@ def _read(path: Path) -> dict[str, Any]:
     shapes: dict[str, tuple[Any, ...]] = {"nodes": ("N", "n"), "edges": ("e", 2), "free": ("e",), "obstacles": ("k", 2)}
     shapes |= {"low": (3, "l", "e"), "high": (3, "l", "e"), "boxes": ("k", 2, 3), "margin": (), "stations": (), "robot": (2,)}
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             content = {name: file[name] for name in ("format", *shapes)}
         if content["format"] != FORMAT:
             raise ValueError(f"format {content['format']}, and this version reads {FORMAT}")

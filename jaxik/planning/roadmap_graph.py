@@ -95,10 +95,10 @@ class Neighbours:
 
 
 def unwound(points: np.ndarray, endless: np.ndarray) -> np.ndarray:
-    """Points (k, n) of a way, endless joints turned to be nearest to the point before."""
+    """Points (k, ..., n) of ways, endless joints turned to be nearest to the point before."""
     if not endless.any():
         return points
-    turns = np.cumsum(np.round(np.diff(points[:, endless], axis=0) / TURN), axis=0)
+    turns = np.cumsum(np.round(np.diff(points[..., endless], axis=0) / TURN), axis=0)
     found = points.copy()
-    found[1:, endless] -= TURN * turns
+    found[1:, ..., endless] -= TURN * turns
     return found

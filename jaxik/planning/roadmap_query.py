@@ -82,10 +82,11 @@ class Queries:
         found = self._ways(asked, seed, options, limits)
         ways, checked = list(found.waypoints), found.checked.copy()
         bent = [i for i, way in enumerate(ways) if way is not None and len(way) > 2]
-        shorter, looked = shortened(self.space, [ways[i] for i in bent], LOOKS[0][0], np.zeros(len(bent)))
-        checked[bent] += looked
-        for i, way in zip(bent, shorter, strict=True):
-            ways[i] = ways[i] if way is None else way
+        if bent:
+            shorter, looked = shortened(self.space, [ways[i] for i in bent], LOOKS[0][0], np.zeros(len(bent)))
+            checked[bent] += looked
+            for i, way in zip(bent, shorter, strict=True):
+                ways[i] = ways[i] if way is None else way
         solved = [way for way in ways if way is not None]
         motions = iter(timed(self.robot, rounded(self.space, solved), limits, options.places) if solved else ())
         trajectories = tuple(None if way is None else next(motions) for way in ways)
