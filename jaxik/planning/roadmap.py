@@ -210,7 +210,7 @@ def _stations(robot: Robot, space: CollisionChecker, given: Any) -> np.ndarray:
 
 
 def _drawn(space: CollisionChecker, wanted: int, seed: int) -> np.ndarray:
-    """So many random free postures (k, n). Raises `ValueError` where hardly one is free."""
+    """Random free postures (k, n), so many. Raises `ValueError` where hardly one is free."""
     rng, (lower, upper) = np.random.default_rng(seed), space.robot.finite_limits
     found, drawn = [np.zeros((0, len(lower)))], 0
     while (have := sum(map(len, found))) < wanted:

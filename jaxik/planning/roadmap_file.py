@@ -53,7 +53,7 @@ def save_roadmap(roadmap: Roadmap, path: str | Path) -> Path:
     return path
 
 
-def load_roadmap(path: str | Path, robot: Robot, *, scene: Scene | None = None, margin: float = 0.0) -> Roadmap:
+def load_roadmap(path: str | Path, *, robot: Robot, scene: Scene | None = None, margin: float = 0.0) -> Roadmap:
     """Reads a roadmap of the `robot` that keeps at least a `margin` [m]: its own, which may be greater. Host.
 
     A scene other than that of the file is taken as `Roadmap.updated` takes it: lines that its changes may touch are proven

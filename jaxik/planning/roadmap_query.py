@@ -23,7 +23,7 @@ FURTHER = 8  # times as many nodes that are tried where no line to the nearest o
 
 
 class QueryOptions(Options, who="Roadmap"):
-    """What a way on a roadmap may take, and the timing of a plan."""
+    """The limits of a way on a roadmap, and of its timing."""
 
     velocity: Any = per_joint(
         default=None, unit="rad/s, m/s", words="limits of velocity, one number or one a joint; None is the robot's"
@@ -175,7 +175,7 @@ class Queries:
         return found
 
     def _goals(self, goals: list[np.ndarray], near: int) -> list[Goal]:
-        """What is known of the ways to each of these sets of goals (g, n), and is found where it is not."""
+        """The ways to each of these sets of goals (g, n), found where they are not known."""
         keys = [(near, each.tobytes()) for each in goals]
         new = {key: each for key, each in zip(keys, goals, strict=True) if key not in self.goals}
         if new:

@@ -1,6 +1,6 @@
 """The space that edges of a roadmap sweep, by which it is told which of them a changed obstacle may touch.
 
-Of each edge and link there is a box, along the axes of the world, around all that the link's shapes pass on the edge. Shapes
+For each edge and link there is a box, along the axes of the world, around all that the link's shapes pass on the edge. Shapes
 are looked at so often that no point of them moves by more than `APART` between two looks, and the boxes grow by half of what it
 may. An obstacle that is further away from an edge's boxes than an edge must keep has nothing to do with it [as in dynamic
 roadmaps, Leven and Hutchinson 2002, which list cells of the space instead].

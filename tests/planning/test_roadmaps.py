@@ -253,27 +253,27 @@ def test_movable_objects_leave_their_places_to_nodes(arm):
 def test_files_hold_it_to_the_last_bit(arm, roadmap, tmp_path):
     robot, _ = arm
     path = save_roadmap(roadmap, tmp_path / "cell.npz")
-    again = load_roadmap(path, robot, scene=POLES, margin=0.005)
+    again = load_roadmap(path, robot=robot, scene=POLES, margin=0.005)
     assert again.checked == 0 and again.margin == MARGIN and again.stations == 4
     for name in ("nodes", "edges", "free", "lengths"):
         np.testing.assert_array_equal(getattr(again, name), getattr(roadmap, name))
     np.testing.assert_array_equal(again.way(START, GOAL).waypoints, roadmap.way(START, GOAL).waypoints)
     other = _with_box(0.6, 0.6)
-    changed = load_roadmap(path, robot, scene=other)
+    changed = load_roadmap(path, robot=robot, scene=other)
     np.testing.assert_array_equal(changed.free, roadmap.updated(other).free)
     assert 0 < changed.checked < len(roadmap.edges)
     with pytest.raises(jaxik.LoadError, match=r"cell.npz: margin: 0.01 m; asked for 0.02 m; build the roadmap anew"):
-        load_roadmap(path, robot, scene=POLES, margin=0.02)
+        load_roadmap(path, robot=robot, scene=POLES, margin=0.02)
     with pytest.raises(jaxik.LoadError, match=r"robot: of 'flat', hash .*; asked for 'flat', .*; load the robot as it was"):
-        load_roadmap(path, robot.with_tool(jaxik.pose([0.1, 0.0, 0.0])), scene=POLES)
+        load_roadmap(path, robot=robot.with_tool(jaxik.pose([0.1, 0.0, 0.0])), scene=POLES)
     whole = path.read_bytes()
     for damage in (b"", b"nothing", whole[:-300], whole[:2000] + bytes(200) + whole[2200:]):
         path.write_bytes(damage)
         with pytest.raises(jaxik.LoadError, match=r"roadmap: is damaged or none \(.*\); save it anew"):
-            load_roadmap(path, robot, scene=POLES)
+            load_roadmap(path, robot=robot, scene=POLES)
     np.savez(path, format=1, nodes=np.zeros(3))
     with pytest.raises(jaxik.LoadError, match="is damaged or none"):
-        load_roadmap(path, robot)
+        load_roadmap(path, robot=robot)
     with pytest.raises(ValueError, match=r"save_roadmap: cell.zip; allowed ending: .npz"):
         save_roadmap(roadmap, tmp_path / "cell.zip")
 
