@@ -71,14 +71,12 @@ def made(robot: jaxik.Robot, scene: jaxik.Scene, nodes: int) -> tuple[Roadmap, d
 
 
 def asked(roadmap: Roadmap, count: int) -> dict[str, Any]:
-    """Questions between nodes and between other free postures, goals that are new and that were asked for before; and the same
-    of `plan_motion`."""
+    """Questions between nodes and between other free postures, one call each; and the same of `plan_motion`."""
     rng = np.random.default_rng(1)
     pairs = roadmap.nodes[np.stack([rng.permutation(len(roadmap))[:count] for _ in range(2)], axis=1)]
     others = build_roadmap(roadmap.robot, scene=roadmap.scene, nodes=2 * count, neighbours=1, seed=9).nodes.reshape(
         count, 2, -1
     )
-    fresh = roadmap.updated(roadmap.scene)  # which knows no goals yet
 
     def each(ask: Any, rows: np.ndarray) -> tuple[list[Any], list[float]]:
         ask(*rows[0][::-1])  # warm
@@ -88,8 +86,11 @@ def asked(roadmap: Roadmap, count: int) -> dict[str, Any]:
     length = lambda ways: float(np.mean([length_of(roadmap, way.waypoints) for way in ways]))
     result: dict[str, Any] = {}
     for name, rows in {"nodes": pairs, "postures": others}.items():
-        one = {"ways_new_goals": fresh.way, "ways": fresh.way, "plans": fresh.plan}
-        calls = one | {"plan_motion": lambda a, b: plan_motion(roadmap.robot, a, b, scene=roadmap.scene)}
+        calls = {
+            "ways": roadmap.way,
+            "plans": roadmap.plan,
+            "plan_motion": lambda a, b: plan_motion(roadmap.robot, a, b, scene=roadmap.scene),
+        }
         answers = {}
         for what, ask in calls.items():
             answers[what], times = each(ask, rows)

@@ -15,7 +15,9 @@ from jaxik.checks.arrays import numbers
 from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
+from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.roadmap import Roadmap
+from jaxik.planning.roadmap_graph import Graph
 from jaxik.planning.roadmap_reach import Body, Swept
 from jaxik.reasons import LoadError
 
@@ -76,7 +78,9 @@ def load_roadmap(path: str | Path, *, robot: Robot, scene: Scene | None = None, 
     boxes = Swept(content["low"], content["high"])
     nodes, edges, free = (content[name] for name in ("nodes", "edges", "free"))
     held = float(content["margin"]), int(content["stations"])
-    return Roadmap(robot, None, *held, nodes, edges, free, 0, boxes, known).updated(scene)
+    space = CollisionChecker(robot, None, 0.0)
+    graph = Graph(nodes, edges, space.weights, space.endless)
+    return Roadmap(robot, None, *held, graph, free, 0, boxes, known).updated(scene)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import collections
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -14,11 +13,10 @@ from jaxik.options import Options, count, instance, per_joint
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.limits import Limits, motion_limits
 from jaxik.planning.planner import Ends, PlanResult, ends, postures, refusal, rounded, timed, turned
-from jaxik.planning.roadmap_graph import Graph, Neighbours, Tree, unwound
+from jaxik.planning.roadmap_graph import Graph, Joined, unwound
 from jaxik.planning.ways import LOOKS, proven_ways, shortened
 from jaxik.reasons import Reason
 
-KEPT = 2**28  # bytes of trees that are kept
 FURTHER = 8  # times as many nodes that are tried where no line to the nearest ones is free
 
 
@@ -40,36 +38,17 @@ class QueryOptions(Options, who="Roadmap"):
     places: int = count(default=128, words="number of places at which the speed is chosen (`time_path`)")
 
 
-class Joined(NamedTuple):
-    """The nodes (k,) that a posture has proven lines to, and how long these are (k,) [m]."""
-
-    nodes: np.ndarray
-    lengths: np.ndarray
-
-
-class Goal(NamedTuple):
-    """Goals (g, n), the ways to the nearest of them, and to which of them the nodes that are joined to one directly go."""
-
-    postures: np.ndarray
-    tree: Tree
-    to: dict[int, int]
-
-
 class Queries:
-    """The questions to one roadmap in one scene, and what was found for earlier ones."""
+    """The questions to one roadmap in one scene, of whose edges (e,) some are free."""
 
-    def __init__(
-        self, space: CollisionChecker, robot: Robot, scene: Scene | None, nodes: np.ndarray, graph: Graph, near: Neighbours
-    ):
-        self.space, self.robot, self.scene, self.nodes, self.graph, self.near = space, robot, scene, nodes, graph, near
-        joined = np.flatnonzero(np.diff(graph.first))  # one without a line is asked for like any other posture
-        self.number = {nodes[i].tobytes(): i for i in joined[::-1].tolist()}
-        self.goals: collections.OrderedDict[Any, Goal] = collections.OrderedDict()
-        self.most = max(16, KEPT // (12 * len(nodes)))
+    def __init__(self, space: CollisionChecker, robot: Robot, scene: Scene | None, graph: Graph, free: np.ndarray):
+        self.space, self.robot, self.scene, self.graph, self.lengths = space, robot, scene, graph, graph.in_order(free)
+        joined = np.unique(graph.edges[free])  # a node without a line is asked for like any other posture
+        self.number = {graph.nodes[i].tobytes(): i for i in joined[::-1].tolist()}
 
     def way(self, start: Any, goal: Any, seed: int, options: QueryOptions) -> PlanResult:
         """The answer of `Roadmap.way`."""
-        found = self._between_nodes(start, goal, options)
+        found = self._between_nodes(start, goal)
         if found is not None:
             return PlanResult(Reason.SOLVED, "", found)
         asked = ends("Roadmap.way", self.robot, start, goal)
@@ -96,15 +75,15 @@ class Queries:
     def _limits(self, who: str, options: QueryOptions) -> Limits:
         return motion_limits(who, self.robot, options.velocity, options.acceleration, (self.robot.num_joints,))
 
-    def _between_nodes(self, start: Any, goal: Any, options: QueryOptions) -> np.ndarray | None:
+    def _between_nodes(self, start: Any, goal: Any) -> np.ndarray | None:
         """The waypoints between two different nodes, soon; None where they are no such nodes, or have no way."""
-        if not all(isinstance(q, np.ndarray) and q.shape == self.nodes.shape[1:] for q in (start, goal)):
+        if not all(isinstance(q, np.ndarray) and q.shape == self.graph.around.shape for q in (start, goal)):
             return None
         begin, end = self.number.get(start.tobytes()), self.number.get(goal.tobytes())
         if begin is None or end is None or begin == end:
             return None
-        found = self._goals([goal[None]], options.near)[0]
-        return self._way(start, Joined(np.array([begin]), np.zeros(1)), found)
+        here, there = (Joined(np.array([number]), np.zeros(1)) for number in (begin, end))
+        return self._between(start[None], [here], [goal[None]], [[there]])[0]
 
     def _ways(self, asked: Ends, seed: int, options: QueryOptions, limits: Limits) -> PlanResult:
         """The ways of a batch of problems."""
@@ -123,9 +102,11 @@ class Queries:
         for i in np.flatnonzero(reason | at_start | ~free.any(axis=1)).tolist():
             reason[i], where[i] = refusal(int(reason[i]), int(at_start[i]), at_goal[i])
         rows = [i for i, way in enumerate(ways) if way is None and not where[i]]
-        ends_at = self._goals([goals[i][free[i]] for i in rows], options.near)
-        for i, joined, end in zip(rows, self._joined(starts[rows], options.near), ends_at, strict=True):
-            ways[i] = self._way(starts[i], joined, end)
+        aims = [goals[i][free[i]] for i in rows]
+        joined = iter(self._joined(np.concatenate([starts[rows], *aims]), options.near))
+        begin, arrive = [next(joined) for _ in rows], [[next(joined) for _ in aim] for aim in aims]
+        for i, way in zip(rows, self._between(starts[rows], begin, aims, arrive), strict=True):
+            ways[i] = way
         rounds, checked = np.zeros((2, len(starts)), int)
         left = np.array([i for i in rows if ways[i] is None], int)
         if len(left) and options.rounds:
@@ -165,44 +146,38 @@ class Queries:
             left = [row for row, each in enumerate(found) if not len(each.nodes)]
             if not left:
                 break
-            nodes = self.near.nearest(q[left], most)
+            nodes = self.graph.nearest(q[left], most)
             begin = np.repeat(q[left], nodes.shape[1], axis=0)
-            end = unwound(np.stack([begin, self.nodes[nodes.ravel()]]), self.space.endless)[1]
+            end = unwound(np.stack([begin, self.graph.nodes[nodes.ravel()]]), self.space.endless)[1]
             free = self._free(begin, end).reshape(nodes.shape)
             lengths = self.space.length(end - begin).reshape(nodes.shape)
             for row, each in enumerate(left):
                 found[each] = Joined(nodes[row, free[row]], lengths[row, free[row]])
         return found
 
-    def _goals(self, goals: list[np.ndarray], near: int) -> list[Goal]:
-        """The ways to each of these sets of goals (g, n), found where they are not known."""
-        keys = [(near, each.tobytes()) for each in goals]
-        new = {key: each for key, each in zip(keys, goals, strict=True) if key not in self.goals}
-        if new:
-            joined = iter(self._joined(np.concatenate(list(new.values())), near))
-            made = {key: self._goal(each, [next(joined) for _ in each]) for key, each in new.items()}
-            known = made | {key: self.goals[key] for key in keys if key not in made}
-            self.goals.update(made)
-            while len(self.goals) > self.most:
-                self.goals.popitem(last=False)
-            return [known[key] for key in keys]
-        return [self.goals[key] for key in keys]
+    def _between(
+        self, starts: np.ndarray, begin: list[Joined], goals: list[np.ndarray], arrive: list[list[Joined]]
+    ) -> list[np.ndarray | None]:
+        """The waypoints (k, n) of the shortest ways from starts (b, n) to the nearest of the goals (g, n) of each, by the lines
+        that these have to nodes; None where there is no way."""
+        leaves = [_nearest(each) for each in arrive]
+        joined = [Joined(np.array(list(each), int), np.array([length for length, _ in each.values()])) for each in leaves]
+        found = self.graph.ways(self.lengths, begin, joined, goals)
+        ended = zip(starts, found, goals, leaves, strict=True)
+        return [nodes and self._line(start, nodes, aims[leave[nodes[-1]][1]]) for start, nodes, aims, leave in ended]
 
-    def _goal(self, goals: np.ndarray, joined: list[Joined]) -> Goal:
-        least: dict[int, tuple[float, int]] = {}
-        for k, each in enumerate(joined):
-            for node, length in zip(each.nodes.tolist(), each.lengths.tolist(), strict=True):
-                least[node] = min(least.get(node, (np.inf, k)), (length, k))
-        tree = self.graph.toward(np.array(list(least), int), np.array([length for length, _ in least.values()]))
-        return Goal(goals, tree, {node: k for node, (_, k) in least.items()})
-
-    def _way(self, start: np.ndarray, joined: Joined, goal: Goal) -> np.ndarray | None:
-        """The waypoints (k, n) of the shortest way, or None."""
-        lengths = joined.lengths + goal.tree.length[joined.nodes]
-        if not len(lengths) or not np.isfinite(least := lengths.min()):
-            return None
-        nodes = goal.tree.way(int(joined.nodes[np.argmax(lengths == least)]))
-        points = np.vstack([start, self.nodes[nodes], goal.postures[goal.to[nodes[-1]]]])
+    def _line(self, start: np.ndarray, nodes: list[int], goal: np.ndarray) -> np.ndarray:
+        """The waypoints (k, n) of a way over some nodes, none twice in a row."""
+        points = np.vstack([start, self.graph.nodes[nodes], goal])
         kept = np.ones(len(points), bool)
         kept[1:] = (points[1:] != points[:-1]).any(axis=1)
         return unwound(points[kept], self.space.endless)
+
+
+def _nearest(arrive: list[Joined]) -> dict[int, tuple[float, int]]:
+    """The nodes that goals have lines to, each with the length of the shortest and the number of its goal."""
+    found: dict[int, tuple[float, int]] = {}
+    for number, each in enumerate(arrive):
+        for node, length in zip(each.nodes.tolist(), each.lengths.tolist(), strict=True):
+            found[node] = min(found.get(node, (length, number)), (length, number))
+    return found

@@ -18,6 +18,7 @@ from jax import lax
 from jaxik.collision.bvh import robot_trees
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.joint_turns import whole_turns
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.shapes import hashed
 from jaxik.planning.collision_checker import RESOLUTION, CollisionChecker
@@ -40,9 +41,10 @@ class Swept(NamedTuple):
 
 def swept(space: CollisionChecker, start: np.ndarray, end: np.ndarray) -> Swept:
     """The boxes of straight motions (b, n)."""
+    turns = whole_turns(space.endless, start)  # float32 has few digits left after many
     moved = np.abs(end - start) @ space.weights
     parts = np.maximum(1, np.ceil(moved / APART)).astype(np.int32)
-    low, high = in_blocks(_swept(space.robot), start, end, parts, double=False)
+    low, high = in_blocks(_swept(space.robot), start - turns, end - turns, parts, double=False)
     more = (0.5 * moved / parts)[:, None, None]
     columns = lambda boxes: np.ascontiguousarray(np.moveaxis(boxes, 0, -1).astype(np.float32))
     return Swept(columns(low - more), columns(high + more))
