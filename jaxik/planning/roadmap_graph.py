@@ -39,6 +39,7 @@ class Graph:
     def __init__(self, nodes: np.ndarray, edges: np.ndarray, weights: np.ndarray, endless: np.ndarray):
         self.nodes, self.edges, self.weights, self.endless = nodes, edges, weights, endless
         self.around = np.where(endless, TURN * weights, 0.0)
+        self._around = self.around.astype(np.float32)
 
     @functools.cached_property
     def lengths(self) -> np.ndarray:
@@ -96,31 +97,31 @@ class Graph:
         """The nodes of the shortest ways over edges of such lengths, from where each of the `starts` has lines to, to where
         there are lines to its goals (g, n), those to `leaves`; None where there is no way. `free` are those of `in_order`."""
         first, ends, _, places = self.tables
-        shape, most = (len(starts), len(places) // TEAM_SIZE, TEAM_SIZE), max(map(len, goals), default=1)
-        cost, low, leave = (np.full((shape[0], len(places)), np.inf, np.float32) for _ in range(3))
+        count, most = len(starts), max(map(len, goals), default=1)
+        cost, leave, came = (np.repeat(none[None], count, axis=0) for none in self._nothing)
         rows = (
             np.stack([np.resize(each, (most, each.shape[1])) for each in goals])
-            if len(goals)
+            if count
             else np.zeros((0, 1, len(self.around)))
         )
         for row, (start, end) in enumerate(zip(starts, leaves, strict=True)):
-            cost[row, start.nodes] = start.lengths
-            low[row, start.nodes] = start.lengths + self._least(start.nodes, rows[row])
-            leave[row, end.nodes] = end.lengths
-        given = *(x.reshape(shape) for x in (cost, low, leave)), np.full(shape, -1, np.int32), self._turned(rows) * self.weights
-        fixed = first, ends, free, places, self.around.astype(np.float32)
-        after, last = in_blocks(SEARCHED, *given, size=1, fixed=fixed, double=False)
-        return [_walked(each.ravel(), int(node)) for each, node in zip(after, last, strict=True)]
+            cost[row].reshape(-1)[start.nodes] = start.lengths
+            leave[row].reshape(-1)[end.nodes] = end.lengths
+        given = cost, leave, came, self._turned(rows) * self.weights
+        after, last = in_blocks(SEARCHED, *given, size=1, fixed=(first, ends, free, places, self._around), double=False)
+        return [_walked(each.reshape(-1), int(node)) for each, node in zip(after, last, strict=True)]
+
+    @functools.cached_property
+    def _nothing(self) -> tuple[np.ndarray, ...]:
+        """Tables (blocks, 16) of a search that has no start and no goal."""
+        shape = len(self.tables[3]) // TEAM_SIZE, TEAM_SIZE
+        far = np.full(shape, np.inf, np.float32)
+        return far, far, np.full(shape, -1, np.int32)
 
     def in_order(self, free: np.ndarray) -> np.ndarray:
         """The lengths of the edges as the kernel takes them, infinite where they are not free (e,)."""
         lengths, number = np.where(free, self.lengths, np.inf), self.tables[2]
         return np.pad(lengths[number], (0, len(self.tables[1]) - len(number)), constant_values=np.inf).astype(np.float32)
-
-    def _least(self, nodes: np.ndarray, goals: np.ndarray) -> np.ndarray:
-        """Bounds from below of the lengths (k,) from nodes to the nearest of the goals (g, n)."""
-        ends = unwound(np.stack(np.broadcast_arrays(self.nodes[nodes][:, None], goals)), self.endless)
-        return LESS * np.linalg.norm((ends[1] - ends[0]) * self.weights, axis=-1).min(axis=1)
 
 
 def neighbours(nodes: np.ndarray, count: int, weights: np.ndarray, endless: np.ndarray) -> np.ndarray:
@@ -173,7 +174,7 @@ class _Search(NamedTuple):
 
 
 def _searched(
-    cost: Any, least: Any, leave: Any, came: Any, goals: Any, first: Any, ends: Any, lengths: Any, places: Any, around: Any
+    cost: Any, leave: Any, came: Any, goals: Any, first: Any, ends: Any, lengths: Any, places: Any, around: Any
 ) -> Any:
     """From which node the best way has come to each, and from which it leaves, -1 for none."""
 
@@ -211,8 +212,8 @@ def _searched(
         bound, node = _next(tables[1])
         return _Search(*tables, node, bound, begin.best, begin.last)
 
-    bound, node = _next(least)
-    begin = _Search(cost, least, came, node, bound, jnp.asarray(jnp.inf, cost.dtype), jnp.int32(-1))
+    bound, node = _next(cost)
+    begin = _Search(cost, cost, came, node, bound, jnp.asarray(jnp.inf, cost.dtype), jnp.int32(-1))
     end = lax.while_loop(lambda s: s.bound < s.best, looked, begin)
     return end.came, end.last
 
@@ -239,4 +240,4 @@ def _put(table: Any, node: Any, value: Any) -> Any:
     return table.at[node // TEAM_SIZE, node % TEAM_SIZE].set(value)
 
 
-SEARCHED = HostKernel(lambda *args: team(_searched)(*args), 5)
+SEARCHED = HostKernel(lambda *args: team(_searched)(*args), 4)

@@ -12,7 +12,7 @@ from jaxik.kinematics.task import POSE, Task
 from jaxik.options import Options, count, instance, per_joint
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.limits import Limits, motion_limits
-from jaxik.planning.planner import Ends, PlanResult, ends, postures, refusal, rounded, timed, turned
+from jaxik.planning.planner import Ends, PlanResult, ends, postures, refusal, rounded, timed
 from jaxik.planning.roadmap_graph import Graph, Joined, unwound
 from jaxik.planning.ways import LOOKS, proven_ways, shortened
 from jaxik.reasons import Reason
@@ -83,15 +83,14 @@ class Queries:
         if begin is None or end is None or begin == end:
             return None
         here, there = (Joined(np.array([number]), np.zeros(1)) for number in (begin, end))
-        return self._between(start[None], [here], [goal[None]], [[there]])[0]
+        nodes = self.graph.ways(self.lengths, [here], [there], [goal[None]])[0]
+        return None if nodes is None else unwound(self.graph.nodes[nodes], self.space.endless)
 
     def _ways(self, asked: Ends, seed: int, options: QueryOptions, limits: Limits) -> PlanResult:
         """The ways of a batch of problems."""
         starts, goals, reason = asked.starts, asked.goals, np.zeros(len(asked.starts), int)
         looked = self.space.checked
-        if asked.poses is None:
-            goals = turned(self.robot, starts, goals)
-        else:
+        if asked.poses is not None:
             bound = options.postures, limits, seed, options.task, float(self.space.margin)
             posed, goals = postures(self.robot, self.scene, starts, asked.poses, *bound)
             reason = np.array(posed, int)
@@ -125,11 +124,13 @@ class Queries:
         known = lambda rows: np.array([q.tobytes() in self.number for q in rows.reshape(-1, rows.shape[-1])], bool)
         both = known(starts)[:, None] & known(goals).reshape(free.shape) & (goals != starts[:, None]).any(axis=2)
         row, which = np.nonzero(free & ~both)
-        begin, end, lengths = starts[row], goals[row, which], np.full(free.shape, np.inf)
-        found = self._free(begin, end)
-        lengths[row, which] = np.where(found, self.space.length(end - begin), np.inf)
-        best = [(i, int(np.argmin(each))) for i, each in enumerate(lengths)]
-        return [np.stack([starts[i], goals[i, k]]) if np.isfinite(lengths[i, k]) else None for i, k in best]
+        begin, end = unwound(np.stack([starts[row], goals[row, which]]), self.space.endless)
+        found, lengths = self._free(begin, end), self.space.length(end - begin)
+        ways: list[np.ndarray | None] = [None] * len(starts)
+        for k in np.argsort(-lengths, kind="stable"):  # the shortest at last
+            if found[k]:
+                ways[row[k]] = np.stack([begin[k], end[k]])
+        return ways
 
     def _free(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Whether straight lines (b, n) are proven free."""
