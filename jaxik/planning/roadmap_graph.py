@@ -99,16 +99,14 @@ class Graph:
         first, ends, _, places = self.tables
         count, most = len(starts), max(map(len, goals), default=1)
         cost, leave, came = (np.repeat(none[None], count, axis=0) for none in self._nothing)
-        rows = (
-            np.stack([np.resize(each, (most, each.shape[1])) for each in goals])
-            if count
-            else np.zeros((0, 1, len(self.around)))
-        )
+        rows = np.array(goals) if most == 1 else np.array([np.resize(each, (most, each.shape[1])) for each in goals])
+        rows = self._turned(rows.reshape(count, most, len(self.around))) * self.weights
         for row, (start, end) in enumerate(zip(starts, leaves, strict=True)):
             cost[row].reshape(-1)[start.nodes] = start.lengths
             leave[row].reshape(-1)[end.nodes] = end.lengths
-        given = cost, leave, came, self._turned(rows) * self.weights
-        after, last = in_blocks(SEARCHED, *given, size=1, fixed=(first, ends, free, places, self._around), double=False)
+        after, last = in_blocks(
+            SEARCHED, cost, leave, came, rows, size=1, fixed=(first, ends, free, places, self._around), double=False
+        )
         return [_walked(each.reshape(-1), int(node)) for each, node in zip(after, last, strict=True)]
 
     @functools.cached_property
@@ -143,7 +141,7 @@ def unwound(points: np.ndarray, endless: np.ndarray) -> np.ndarray:
 
 def _size(count: int) -> int:
     """The next of a few sizes, so that kernels are few."""
-    return next(size for k in range(64) for size in (2 << k, 3 << k) if size >= count)
+    return next(size for k in range(64) for size in (4 << k, 5 << k, 6 << k, 7 << k) if size >= count)
 
 
 def _walked(after: np.ndarray, node: int) -> list[int] | None:
