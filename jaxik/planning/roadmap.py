@@ -26,6 +26,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.options import Options, anything, count, number
 from jaxik.planning.collision_checker import RESOLUTION, CollisionChecker, judged
 from jaxik.planning.planner import PlanResult
+from jaxik.planning.roadmap_blocked import Blocked
 from jaxik.planning.roadmap_graph import Graph, neighbours
 from jaxik.planning.roadmap_query import Queries, QueryOptions
 from jaxik.planning.roadmap_reach import Body, Swept, bodies, reached, swept
@@ -68,6 +69,7 @@ class Roadmap:
     checked: int
     swept: Swept
     known: dict[str, Body]  # the obstacles
+    blocked: Blocked
 
     def __post_init__(self) -> None:
         for array in (self.nodes, self.edges, self.free):
@@ -134,25 +136,30 @@ class Roadmap:
         """The same roadmap for another scene. Host driver.
 
         Obstacles are compared by value. Only those lines are proven again that may come near to one that is new, has changed or
-        has moved, where it is now if they were free, and where it was if they were not: `checked` says how many. All others
-        stay as they are, and all that are `free` are proven in the new scene. Nodes stay: where something has gone that was not
-        `movable` there are none. Raises `ValueError` for what is no scene.
+        has moved, where it is now if they were free, and where it was if they were not, unless it is known that nothing else
+        blocked them: `checked` says how many. All others stay as they are, and all that are `free` are proven in the new scene.
+        Nodes stay: where something has gone that was not `movable` there are none. Raises `ValueError` for what is no scene.
         """
         check_kind("Roadmap.updated", "scene", scene, Scene, optional=True)
         now = bodies(scene)
-        come = [body for key, body in now.items() if key not in self.known]
+        come = {key: body for key, body in now.items() if key not in self.known}
         gone = [body for key, body in self.known.items() if key not in now]
-        touched = np.flatnonzero(self.free & reached(self.swept, come, self.margin))
-        opened = np.flatnonzero(~self.free & reached(self.swept, gone, self.margin))
-        free = self.free.copy()
-        if len(touched) and scene is not None:  # by what has come: of all else they are known to be free
-            alone, others = dataclasses.replace(self.robot, self_pairs=()), set(scene.object_names) - {b.name for b in come}
+        cleared, perhaps = self.blocked.cleared(now.keys())
+        held, near = self.free | cleared, reached(self.swept, come.values(), self.margin)  # held: free of all but what has come
+        touched = np.flatnonzero(held & near)
+        opened = ~held & perhaps & reached(self.swept, gone, self.margin)
+        free = held.copy()
+        if len(touched) and scene is not None:
+            alone, others = dataclasses.replace(self.robot, self_pairs=()), set(scene.object_names)
+            others -= {body.name for body in come.values()}
             space = CollisionChecker(alone, scene.without(sorted(others)), self.margin)
             free[touched] = _proven(space, self.graph, self.edges[touched], self.stations)
-        if len(opened):
+        if opened.any():
             space = CollisionChecker(self.robot, scene, self.margin)
             free[opened] = _proven(space, self.graph, self.edges[opened], self.stations)
-        return dataclasses.replace(self, scene=scene, known=now, free=free, checked=len(touched) + len(opened))
+        blocked = self.blocked.after(held, free, opened, near, frozenset(come))
+        looked = len(touched) + int(opened.sum())
+        return dataclasses.replace(self, scene=scene, known=now, free=free, blocked=blocked, checked=looked)
 
     @functools.cached_property
     def _space(self) -> CollisionChecker:
@@ -200,9 +207,8 @@ def build_roadmap(
     edges = neighbours(nodes, degree, *weighed)
     graph = Graph(nodes, edges, *weighed)
     free = _proven(space, graph, edges, len(own), progress)
-    return Roadmap(
-        robot, scene, options.margin, len(own), graph, free, len(edges), swept(space, *graph.lines(edges)), bodies(scene)
-    )
+    boxes, blocked = swept(space, *graph.lines(edges)), Blocked.by_all(len(edges))
+    return Roadmap(robot, scene, options.margin, len(own), graph, free, len(edges), boxes, bodies(scene), blocked)
 
 
 def _stations(robot: Robot, space: CollisionChecker, given: Any) -> np.ndarray:

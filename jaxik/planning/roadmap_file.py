@@ -17,6 +17,7 @@ from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.roadmap import Roadmap
+from jaxik.planning.roadmap_blocked import Blocked
 from jaxik.planning.roadmap_graph import Graph
 from jaxik.planning.roadmap_reach import Body, Swept
 from jaxik.reasons import LoadError
@@ -80,7 +81,7 @@ def load_roadmap(path: str | Path, *, robot: Robot, scene: Scene | None = None, 
     held = float(content["margin"]), int(content["stations"])
     space = CollisionChecker(robot, None, 0.0)
     graph = Graph(nodes, edges, space.weights, space.endless)
-    return Roadmap(robot, None, *held, graph, free, 0, boxes, known).updated(scene)
+    return Roadmap(robot, None, *held, graph, free, 0, boxes, known, Blocked.by_all(len(edges))).updated(scene)
 
 
 def _read(path: Path) -> dict[str, Any]:
