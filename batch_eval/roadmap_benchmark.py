@@ -116,10 +116,10 @@ def put(scene: jaxik.Scene, box: int, frame: Any) -> jaxik.Scene:
     return dataclasses.replace(scene, boxes=dataclasses.replace(scene.boxes, world_T_box=frames))
 
 
-def moved(roadmap: Roadmap, judge: Judge, box: int, moves: int) -> dict[str, Any]:
-    """Random moves of a box: what is looked at again, and whether a way between random nodes, a line that was looked at and is
-    free, and a line that was not looked at and is free, are."""
-    rng, base = np.random.default_rng(2), np.asarray(roadmap.robot.world_T_base)
+def moved(roadmap: Roadmap, judge: Judge, box: int, after: int, moves: int) -> dict[str, Any]:
+    """Random moves of a box, `after` so many others: what is looked at again, and whether a way between random nodes, a line
+    that has become free, and one that has stayed so, are."""
+    rng, base = np.random.default_rng([2, after]), np.asarray(roadmap.robot.world_T_base)
     now, times, looked, changed, fault = roadmap, [], [], [], {"ways": 0, "gained": 0, "kept": 0}
     ways, judged = 0, dict.fromkeys(fault, 0)
     scenes = []
@@ -147,6 +147,7 @@ def moved(roadmap: Roadmap, judge: Judge, box: int, moves: int) -> dict[str, Any
         judge.coal.scenes.clear()
     back = now.updated(roadmap.scene)
     return {
+        "after": after,
         "moves": moves,
         "update": milliseconds(times),
         "lines": len(roadmap.edges),
@@ -166,16 +167,16 @@ def others(robot: jaxik.Robot, goals: list[Any], judge: Judge, roadmap: Roadmap)
     found = []
     for goal in goals:
         there, seconds = clocked(lambda goal=goal: roadmap.updated(goal.scene))
-        ours, asks = clocked(lambda there=there, goal=goal: there.plan(goal.start, goal.q))
+        ours, asks = clocked(lambda there=there, goal=goal: there.plan(goal.start, goal.q, rounds=50_000))
         theirs, plans = clocked(lambda goal=goal: plan_motion(robot, goal.start, goal.q, scene=goal.scene))
         free = judge.free(goal.scene, ours.waypoints) if ours else True
         judge.coal.scenes.clear()
-        found.append((bool(ours), bool(theirs), free, seconds, asks, plans, there.checked / len(there.edges)))
-    solved, theirs_solved, free, *times, share = map(list, zip(*found, strict=True))
+        found.append((bool(ours), bool(theirs), free, not ours.rounds, seconds, asks, plans, there.checked / len(there.edges)))
+    solved, theirs_solved, free, alone, *times, share = map(list, zip(*found, strict=True))
     names = ("update", "plan", "plan_motion")
     told = {name: milliseconds(each) for name, each in zip(names, times, strict=True)}
     told |= {"problems": len(goals), "solved": sum(solved), "plan_motion_solved": sum(theirs_solved)}
-    return told | {"free": all(free), "looked_at": float(np.mean(share))}
+    return told | {"free": all(free), "without_search": sum(alone), "looked_at": float(np.mean(share))}
 
 
 def main() -> None:
@@ -186,20 +187,21 @@ def main() -> None:
     parser.add_argument("--box", type=int, default=0, help="the number of the box that moves")
     parser.add_argument("--nodes", type=int, default=NODES)
     parser.add_argument("--moves", type=int, default=MOVES)
+    parser.add_argument("--after", type=int, default=0, help="go on with an earlier run, which made so many moves")
     parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
     arguments = parser.parse_args()
     robot = motionbenchmaker.load_robot(arguments.goals)
     goals = [goal for goal in motionbenchmaker.goals(arguments.goals, robot) if arguments.cell in goal.name]
     judge = Judge(arguments.goals, robot)
     roadmap, result = made(robot, goals[0].scene, arguments.nodes)
-    result = {"machine": machine(), "cell": goals[0].name, "roadmap": result}
-    print(json.dumps(result["roadmap"]), flush=True)
-    result["asked"] = asked(roadmap, ASKED)
-    print(json.dumps(result["asked"]), flush=True)
-    result["others"] = others(robot, goals[1:100:5], judge, roadmap)
-    print(json.dumps(result["others"]), flush=True)
-    result["moved"] = moved(roadmap, judge, arguments.box, arguments.moves)
-    print(json.dumps(result["moved"]), flush=True)
+    if arguments.after:
+        result = json.loads(arguments.out.read_text())
+    else:
+        result = {"machine": machine(), "cell": goals[0].name, "roadmap": result, "asked": asked(roadmap, ASKED)}
+        result |= {"others": others(robot, goals[1:100:5], judge, roadmap), "moved": []}
+    judge.asked = 0
+    result["moved"].append(moved(roadmap, judge, arguments.box, arguments.after, arguments.moves))
+    print(json.dumps(result), flush=True)
     arguments.out.write_text(json.dumps(result, indent=1) + "\n")
 
 

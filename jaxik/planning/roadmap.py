@@ -124,8 +124,8 @@ class Roadmap:
         return self._queries.way(start, goal, seed, QueryOptions.chosen(options, changes))
 
     def plan(self, start: Any, goal: Any, *, seed: int = 0, options: QueryOptions | None = None, **changes: Any) -> PlanResult:
-        """The `way` from `start` to `goal`, shortened, its corners rounded as far as that is proven, and timed from rest to
-        rest within the limits of velocity and acceleration, as `plan_motion` does. Host driver.
+        """The `way` from `start` to `goal`, or the straight line, shortened, its corners rounded as far as that is proven, and
+        timed from rest to rest within the limits of velocity and acceleration, as `plan_motion` does. Host driver.
 
         Takes, gives and raises what `way` does.
         """

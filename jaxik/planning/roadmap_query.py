@@ -12,7 +12,7 @@ from jaxik.kinematics.task import POSE, Task
 from jaxik.options import Options, count, instance, per_joint
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.limits import Limits, motion_limits
-from jaxik.planning.planner import Ends, PlanResult, ends, postures, refusal, rounded, timed
+from jaxik.planning.planner import Ends, PlanResult, ends, postures, refusal, rounded, timed, turned
 from jaxik.planning.roadmap_graph import Graph, Joined, unwound
 from jaxik.planning.ways import LOOKS, proven_ways, shortened
 from jaxik.reasons import Reason
@@ -43,8 +43,8 @@ class Queries:
 
     def __init__(self, space: CollisionChecker, robot: Robot, scene: Scene | None, graph: Graph, free: np.ndarray):
         self.space, self.robot, self.scene, self.graph, self.lengths = space, robot, scene, graph, graph.in_order(free)
-        joined = np.unique(graph.edges[free])  # a node without a line is asked for like any other posture
-        self.number = {graph.nodes[i].tobytes(): i for i in joined[::-1].tolist()}
+        joined = np.bincount(graph.edges[free].ravel())  # a node without a line is asked for like any other posture
+        self.number = {graph.nodes[i].tobytes(): i for i in np.flatnonzero(joined)[::-1].tolist()}
 
     def way(self, start: Any, goal: Any, seed: int, options: QueryOptions) -> PlanResult:
         """The answer of `Roadmap.way`."""
@@ -52,13 +52,13 @@ class Queries:
         if found is not None:
             return PlanResult(Reason.SOLVED, "", found)
         asked = ends("Roadmap.way", self.robot, start, goal)
-        result = self._ways(asked, seed, options, self._limits("Roadmap.way", options))
+        result = self._ways(asked, seed, options, self._limits("Roadmap.way", options), self.number)
         return result[0] if asked.single else result
 
     def plan(self, start: Any, goal: Any, seed: int, options: QueryOptions) -> PlanResult:
         """The answer of `Roadmap.plan`."""
         asked, limits = ends("Roadmap.plan", self.robot, start, goal), self._limits("Roadmap.plan", options)
-        found = self._ways(asked, seed, options, limits)
+        found = self._ways(asked, seed, options, limits, {})
         ways, checked = list(found.waypoints), found.checked.copy()
         bent = [i for i, way in enumerate(ways) if way is not None and len(way) > 2]
         if bent:
@@ -86,10 +86,9 @@ class Queries:
         nodes = self.graph.ways(self.lengths, [here], [there], [goal[None]])[0]
         return None if nodes is None else unwound(self.graph.nodes[nodes], self.space.endless)
 
-    def _ways(self, asked: Ends, seed: int, options: QueryOptions, limits: Limits) -> PlanResult:
-        """The ways of a batch of problems."""
+    def _ways(self, asked: Ends, seed: int, options: QueryOptions, limits: Limits, apart: dict[bytes, int]) -> PlanResult:
+        """The ways of a batch of problems; no straight lines are looked at between two different postures of those `apart`."""
         starts, goals, reason = asked.starts, asked.goals, np.zeros(len(asked.starts), int)
-        looked = self.space.checked
         if asked.poses is not None:
             bound = options.postures, limits, seed, options.task, float(self.space.margin)
             posed, goals = postures(self.robot, self.scene, starts, asked.poses, *bound)
@@ -97,7 +96,7 @@ class Queries:
         verdicts = judged(self.robot, self.space, np.concatenate([starts, goals.reshape(-1, starts.shape[1])]))
         at_start, at_goal = verdicts[: len(starts)], verdicts[len(starts) :].reshape(goals.shape[:2])
         free = (at_start[:, None] == Reason.SOLVED) & (at_goal == Reason.SOLVED)
-        where, ways = [""] * len(starts), self._straight(starts, goals, free)
+        where, ways = [""] * len(starts), self._straight(starts, goals, free, apart)
         for i in np.flatnonzero(reason | at_start | ~free.any(axis=1)).tolist():
             reason[i], where[i] = refusal(int(reason[i]), int(at_start[i]), at_goal[i])
         rows = [i for i, way in enumerate(ways) if way is None and not where[i]]
@@ -110,18 +109,20 @@ class Queries:
         left = np.array([i for i in rows if ways[i] is None], int)
         if len(left) and options.rounds:
             most = np.full(len(left), options.rounds)
-            found = proven_ways(self.space, starts[left], [goals[i][free[i]] for i in left], seed, most)
+            aims = [turned(self.robot, starts[i][None], goals[i][free[i]][None])[0] for i in left]
+            found = proven_ways(self.space, starts[left], aims, seed, most)
             rounds[left], checked[left] = found.rounds, found.checked
             for i, way in zip(left.tolist(), found.ways, strict=True):
                 ways[i] = way
         reason[[i for i in rows if ways[i] is None]] = int(Reason.NOT_CONVERGED)
-        checked += (self.space.checked - looked) // max(1, len(starts))
         return PlanResult(reason, tuple(where), tuple(ways), (None,) * len(starts), rounds, checked)
 
-    def _straight(self, starts: np.ndarray, goals: np.ndarray, free: np.ndarray) -> list[np.ndarray | None]:
+    def _straight(
+        self, starts: np.ndarray, goals: np.ndarray, free: np.ndarray, apart: dict[bytes, int]
+    ) -> list[np.ndarray | None]:
         """The shortest straight line from each start to a free goal, of those that are proven, or None; not between two
-        different nodes, whose way is the roadmap's."""
-        known = lambda rows: np.array([q.tobytes() in self.number for q in rows.reshape(-1, rows.shape[-1])], bool)
+        different ones of the postures `apart`."""
+        known = lambda rows: np.array([q.tobytes() in apart for q in rows.reshape(-1, rows.shape[-1])], bool)
         both = known(starts)[:, None] & known(goals).reshape(free.shape) & (goals != starts[:, None]).any(axis=2)
         row, which = np.nonzero(free & ~both)
         begin, end = unwound(np.stack([starts[row], goals[row, which]]), self.space.endless)
