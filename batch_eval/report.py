@@ -24,6 +24,7 @@ from tables.motions import (
     predictive_markdown,
     roadmap_markdown,
     statistics_markdown,
+    trajectory_markdown,
 )
 from tables.postures import (
     base_markdown,
@@ -69,6 +70,7 @@ TABLES = {
     "teleoperation.json": teleoperation_markdown,
     "torque_estimation.json": torque_markdown,
     "touch.json": touch_markdown,
+    "trajectory_benchmark.json": trajectory_markdown,
 }
 
 

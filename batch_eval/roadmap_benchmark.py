@@ -12,6 +12,7 @@ import argparse
 import dataclasses
 import json
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ import jaxik
 from jaxik.planning import Roadmap, build_roadmap, load_roadmap, plan_motion, save_roadmap
 
 TOUCH = 1e-6  # [m] that float32 does not tell from contact
-APART = 2e-3  # [m] that any point of the robot moves at most between samples that are judged
+APART = 5e-3  # [m] that any point of the robot moves at most between samples that are judged
 NODES, MOVES, ASKED = 5000, 1000, 300
 AROUND = np.array([[0.2, -0.7, 0.0], [0.8, 0.7, 0.8]])  # [m] from the base, where the box is put
 
@@ -116,8 +117,8 @@ def put(scene: jaxik.Scene, box: int, frame: Any) -> jaxik.Scene:
     return dataclasses.replace(scene, boxes=dataclasses.replace(scene.boxes, world_T_box=frames))
 
 
-def moved(roadmap: Roadmap, judge: Judge, box: int, after: int, moves: int) -> dict[str, Any]:
-    """Random moves of a box, `after` so many others: what is looked at again, and whether a way between random nodes, a line
+def moved(roadmap: Roadmap, judge: Judge, box: int, after: int, moves: int, seconds: float) -> dict[str, Any]:
+    """Random moves of a box, as many as `seconds` allow, `after` so many others: what is looked at again, and whether a way between random nodes, a line
     that has become free, and one that has stayed so, are."""
     rng, base = np.random.default_rng([2, after]), np.asarray(roadmap.robot.world_T_base)
     now, times, looked, changed, fault = roadmap, [], [], [], {"ways": 0, "gained": 0, "kept": 0}
@@ -128,10 +129,13 @@ def moved(roadmap: Roadmap, judge: Judge, box: int, after: int, moves: int) -> d
         scenes.append(put(roadmap.scene, box, frame))
     for scene in scenes[:2]:
         roadmap.updated(scene)  # compiles
+    end = time.monotonic() + seconds
     for scene in scenes:
+        if time.monotonic() > end:
+            break
         before = now
-        now, seconds = clocked(lambda scene=scene, before=before: before.updated(scene))
-        times.append(seconds)
+        now, spent = clocked(lambda scene=scene, before=before: before.updated(scene))
+        times.append(spent)
         looked.append(now.checked)
         changed.append(int((now.free != before.free).sum()))
         start, goal = now.nodes[rng.integers(0, len(now), 2)]
@@ -148,7 +152,7 @@ def moved(roadmap: Roadmap, judge: Judge, box: int, after: int, moves: int) -> d
     back = now.updated(roadmap.scene)
     return {
         "after": after,
-        "moves": moves,
+        "moves": len(times),
         "update": milliseconds(times),
         "lines": len(roadmap.edges),
         "looked_at_mean": float(np.mean(looked)),
@@ -187,20 +191,22 @@ def main() -> None:
     parser.add_argument("--box", type=int, default=0, help="the number of the box that moves")
     parser.add_argument("--nodes", type=int, default=NODES)
     parser.add_argument("--moves", type=int, default=MOVES)
-    parser.add_argument("--after", type=int, default=0, help="go on with an earlier run, which made so many moves")
+    parser.add_argument("--seconds", type=float, default=1e6, help="for moves")
+    parser.add_argument("--more", action="store_true", help="go on with the moves of an earlier run")
     parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
     arguments = parser.parse_args()
     robot = motionbenchmaker.load_robot(arguments.goals)
     goals = [goal for goal in motionbenchmaker.goals(arguments.goals, robot) if arguments.cell in goal.name]
     judge = Judge(arguments.goals, robot)
     roadmap, result = made(robot, goals[0].scene, arguments.nodes)
-    if arguments.after:
+    if arguments.more:
         result = json.loads(arguments.out.read_text())
     else:
         result = {"machine": machine(), "cell": goals[0].name, "roadmap": result, "asked": asked(roadmap, ASKED)}
         result |= {"others": others(robot, goals[1:100:5], judge, roadmap), "moved": []}
-    judge.asked = 0
-    result["moved"].append(moved(roadmap, judge, arguments.box, arguments.after, arguments.moves))
+    judge.asked, before = 0, sum(part["moves"] for part in result["moved"])
+    left = arguments.moves - before
+    result["moved"].append(moved(roadmap, judge, arguments.box, before, left, arguments.seconds))
     print(json.dumps(result), flush=True)
     arguments.out.write_text(json.dumps(result, indent=1) + "\n")
 

@@ -73,10 +73,10 @@ def statistics_markdown(result: dict[str, Any]) -> str:
 def planning_markdown(result: dict[str, Any]) -> str:
     """MotionBenchMaker's problems, and paths that are timed."""
     problems, timing = result["problems"], result["timing"]
-    seeds, many = problems["seeds"], problems["many"]
+    seeds, many, scenes = problems["seeds"], problems["many"], problems["scenes"]
     rows = [
         ("solved", f"{problems['solved']} of {problems['problems']}"),
-        ("of these free by coal, every millimetre", f"{problems['free']}"),
+        ("of these free by coal, 5,000 samples a motion, at least every millimetre", f"{problems['free']}"),
         ("of these inside the limits of position", f"{problems['inside']}"),
         ("velocity, acceleration, at most of their limits", f"{problems['velocity']:.9f}, {problems['acceleration']:.9f}"),
         (
@@ -87,6 +87,14 @@ def planning_markdown(result: dict[str, Any]) -> str:
         (
             f"{many['motions']:,} random motions in one scene, {many['straight']:,} of them straight",
             f"{many['solved']:,} solved; {many['ms_each']:.2f} ms each in one call, {many['alone_ms_each']:.1f} ms alone",
+        ),
+        (
+            "all of them in one call, each in its own scene",
+            f"{scenes['solved']:,} solved, {scenes['ms_each']:.2f} ms each",
+        ),
+        (
+            f"length of the way after 0.1 s, 1 s more (`improve`), {problems['improved']['motions']} motions",
+            ", ".join(f"{100 * problems['improved'][k]['length']:.0f} %" for k in ("after_0.1_s", "after_1_s")),
         ),
         ("a process' first call, its slowest later one", first_calls(problems["fresh"]["compiling"])),
         ("the same, with the kernels on disk", first_calls(problems["fresh"]["kernels_on_disk"])),
@@ -143,6 +151,22 @@ def _of_changes(made: dict[str, Any], others: dict[str, Any], parts: list[dict[s
     told += f"{places:,} places, {hit} hit. In {others['problems']} other cells, in which all things stand elsewhere, "
     told += f"{100 * others['looked_at']:.0f} % of the lines are looked at, and {others['without_search']} problems are solved "
     return told + f"without a search, {others['solved']} with one; `plan_motion` solves {others['plan_motion_solved']}."
+
+
+def trajectory_markdown(result: dict[str, Any]) -> str:
+    """Optimised motions beside planned ones."""
+    verbs = {name: result[name] for name in ("plan_motion", "optimise_trajectory")}
+    beside, spread = result["beside"], ("p50_ms", "mean_ms", "p95_ms", "slowest_ms")
+    rows = [
+        ("solved", lambda of: f"{of['solved']} of {result['problems']}"),
+        ("of these free by coal, 5,000 samples a motion, at least every millimetre", lambda of: f"{of['free']}"),
+        ("one call, warm: median, mean, 95 %, slowest", lambda of: ", ".join(f"{of[k]:.0f} ms" for k in spread)),
+        ("motion, median", lambda of: f"{of['duration_s']:.2f} s"),
+    ]
+    lines = [f"| {result['robot']}, from start to goal | {' | '.join(verbs)} |", "| --- | --- | --- |"]
+    lines += [f"| {words} | {' | '.join(told(of) for of in verbs.values())} |" for words, told in rows]
+    ratios = f"{beside['time_ratio_mean']:.2f} (from {beside['time_ratio_least']:.2f} to {beside['time_ratio_most']:.2f})"
+    return "\n".join([*lines, f"| time of motion, mean of its share of the planner's | 1 | {ratios} |"])
 
 
 def _is_way(row: Any) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -19,6 +19,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
 from jaxik.options import Options, count, instance, number, per_joint
 from jaxik.planning.collision_checker import CollisionChecker, judged
+from jaxik.planning.improvement import improved
 from jaxik.planning.limits import Limits, motion_limits
 from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory, padded
@@ -62,6 +63,13 @@ class PlanOptions(Options, who="plan_motion"):
     )
     task: Task = instance(default=POSE, kind=Task, words="what a pose as the goal binds")
     postures: int = count(default=8, words="different postures of a pose among which the search may choose, the soonest ones")
+    improve: float | None = number(
+        default=None,
+        least=0.0,
+        optional=True,
+        unit="s",
+        words="time to look for a shorter way, for each problem, of many on average; the clock says how far it comes",
+    )
     places: int = count(default=128, words="number of places at which the speed is chosen (`time_path`)")
 
 
@@ -71,6 +79,8 @@ class PlanResult(Result):
     where: "start" or "goal" where one of them is refused, else "".
     waypoints (k, n): straight lines between them are proven free as well; None where there is no motion.
     trajectory: a `Trajectory`, or None.
+    length, bound: the length of the straight lines between the waypoints, and of the one to the nearest goal, which no way is
+    shorter than; joints weighted by the most that their unit moves the robot [m]. NaN where there is no motion.
     rounds, checked: how many rounds of the search were taken, and how many configurations were checked for collision.
     """
 
@@ -78,6 +88,8 @@ class PlanResult(Result):
     where: Any = by_row(default="")
     waypoints: Any = None
     trajectory: Any = None
+    length: Any = float("nan")
+    bound: Any = float("nan")
     rounds: Any = 0
     checked: Any = 0
     ROW: ClassVar = "motion"
@@ -89,7 +101,7 @@ def plan_motion(
     start: Any,
     goal: Any,
     *,
-    scene: Scene | None = None,
+    scene: Scene | Sequence[Scene] | None = None,
     seed: int = 0,
     options: PlanOptions | None = None,
     progress: Callable[[int, int], Any] | None = None,
@@ -100,9 +112,9 @@ def plan_motion(
 
     `goal` is a configuration (n,), several (g, n), of which the one that is reached soonest is taken, as far as as much search
     again as for the first one tells, or a pose `base_T_tip` (4, 4) [m], for which `solve_ik` finds postures, and of which the
-    one that is found first is taken; where the start has it, nothing moves. Many starts (b, n) have goals
-    (b, n), (b, g, n), filled up with NaN, or poses (b, 4, 4); one start, goal or pose may serve all. Each motion is as it is
-    alone, whatever becomes of the others. Without a scene the robot keeps clear of itself alone.
+    one that is found first is taken; where the start has it, nothing moves. Many starts (b, n) have goals (b, n), (b, g, n),
+    filled up with NaN, or poses (b, 4, 4), and a list of b scenes, one each; one start, goal, pose or scene may serve all. Each
+    motion is as it is alone, whatever becomes of the others. Without a scene the robot keeps clear of itself alone.
 
     A joint without limits takes the shorter turn, and to a pose every joint that may. The straight line is taken where it is
     proven by `motion_clearance`'s bound. Else two trees find a way, and the shortest of the lines between its
@@ -119,7 +131,11 @@ def plan_motion(
     """
     check_kind("plan_motion", "robot", robot, Robot)
     asked = ends("plan_motion", robot, start, goal)
-    check_kind("plan_motion", "scene", scene, Scene, optional=True)
+    several = isinstance(scene, list | tuple)
+    for each in scene if several else (scene,):  # type: ignore[union-attr]
+        check_kind("plan_motion", "scene", each, Scene, optional=not several)
+    if several:
+        asked = asked.of_scenes("plan_motion", len(scene))  # type: ignore[arg-type]
     check_seed("plan_motion", seed)
     for name in {"torque", "power"} & set(changes):
         mend = f"time its way anew by planning.time_path(moved.trajectory.path, robot=robot, {name}=...)"
@@ -132,7 +148,7 @@ def plan_motion(
 
 def _planned(
     robot: Robot,
-    scene: Scene | None,
+    scene: Scene | Sequence[Scene] | None,
     asked: Ends,
     seed: int,
     options: PlanOptions,
@@ -148,10 +164,12 @@ def _planned(
         refused, goals = postures(robot, scene, starts, asked.poses, *bound)
         reason = np.array(refused, int)
     space = CollisionChecker(robot, scene, options.margin)
-    verdicts = judged(robot, space, np.concatenate([starts, goals.reshape(-1, robot.num_joints)]))
+    among = np.arange(len(starts)) if space.world.several else np.zeros(len(starts), int)
+    each = np.concatenate([among, np.repeat(among, goals.shape[1])])
+    verdicts = judged(robot, space, np.concatenate([starts, goals.reshape(-1, robot.num_joints)]), each)
     at_start, at_goal = verdicts[: len(starts)], verdicts[len(starts) :].reshape(goals.shape[:2])
     free = (at_start[:, None] == Reason.SOLVED) & (at_goal == Reason.SOLVED)
-    straight = _straight(space, starts, goals, free, limits)
+    straight = _straight(space, starts, goals, free, limits, among)
     where, ways = [""] * len(starts), list(straight)
     for i in np.flatnonzero(reason | at_start | ~free.any(axis=1)).tolist():
         reason[i], where[i] = refusal(int(reason[i]), int(at_start[i]), at_goal[i])
@@ -159,15 +177,24 @@ def _planned(
     total = options.rounds if asked.single else len(starts)
     tell = progress or (lambda done, total: None)
     told = lambda taken, ended: tell(taken if asked.single else len(starts) - len(rows) + ended, total)
-    found = _searched(space, starts[rows], [goals[i][free[i]] for i in rows], asked, seed, options, limits, told)
+    found = _searched(space, starts[rows], [goals[i][free[i]] for i in rows], asked, seed, options, limits, told, among[rows])
     rounds, checked = np.zeros((2, len(starts)), int)
     rounds[rows], checked[rows] = found.rounds, found.checked
     for i, way in zip(rows.tolist(), found.ways, strict=True):
         ways[i], reason[i] = way, int(Reason.NOT_CONVERGED if way is None else Reason.SOLVED)
-    tell(total, total)
-    motions = iter(timed(robot, rounded(space, [way for way in ways if way is not None]), limits, options.places))
+    moved = [i for i, way in enumerate(ways) if way is not None]
+    if options.improve:
+        bent = [(i, way) for i, way in enumerate(ways) if way is not None and len(way) > 2]
+        rows = np.array([i for i, _ in bent], int)
+        shorter = improved(space, [way for _, way in bent], seed, options.improve, among[rows])
+        for i, way in zip(rows.tolist(), shorter, strict=True):
+            ways[i] = way
+    motions = iter(timed(robot, rounded(space, [ways[i] for i in moved], among[moved]), limits, options.places))
     trajectories = tuple(None if way is None else next(motions) for way in ways)
-    return PlanResult(reason, tuple(where), tuple(ways), trajectories, rounds, checked)
+    tell(total, total)
+    lengths = np.array([np.nan if way is None else space.length(np.diff(way, axis=0)).sum() for way in ways])
+    bounds = np.array([np.nan if way is None else space.length(goals[i][free[i]] - way[0]).min() for i, way in enumerate(ways)])
+    return PlanResult(reason, tuple(where), tuple(ways), trajectories, lengths, bounds, rounds, checked)
 
 
 def refusal(pose: int, start: int, goals: np.ndarray) -> tuple[int, str]:
@@ -178,15 +205,15 @@ def refusal(pose: int, start: int, goals: np.ndarray) -> tuple[int, str]:
 
 
 def _straight(
-    space: CollisionChecker, starts: np.ndarray, goals: np.ndarray, free: np.ndarray, limits: Limits
+    space: CollisionChecker, starts: np.ndarray, goals: np.ndarray, free: np.ndarray, limits: Limits, among: np.ndarray
 ) -> list[np.ndarray | None]:
     """Finds, for each start, the straight line to the free goal that is reached soonest, of those that are proven, or None."""
     times = np.full(free.shape, np.inf)
     row, which = np.nonzero(free)
     begin, end = starts[row], goals[row, which]
-    proven = space.free_part(begin, end, LOOKS[0][0]) == 1.0  # most that are not are told so sooner than by a proof
+    proven = space.free_part(begin, end, LOOKS[0][0], among[row]) == 1.0  # most that are not are told so sooner than by a proof
     moved = proven & (begin != end).any(axis=1)
-    proven[moved] = space.proven_closely(begin[moved], end[moved])
+    proven[moved] = space.proven_closely(begin[moved], end[moved], among[row[moved]])
     times[row, which] = np.where(proven, limits.straight(end - begin), np.inf)
     best = [(i, int(np.argmin(each))) for i, each in enumerate(times)]
     return [np.stack([starts[i], goals[i, k]]) if np.isfinite(times[i, k]) else None for i, k in best]
@@ -201,12 +228,13 @@ def _searched(
     options: PlanOptions,
     limits: Limits,
     told: Callable[[int, int], Any],
+    among: np.ndarray,
 ) -> Found:
     """Ways from the starts (b, n) to one of the goals (g, n) of each.
 
     Where configurations are given as goals, the one is taken to which the way takes the least time, by lines that begin and
     end at rest: the one that the search has come to, or another one that is nearer, if as much search again finds it."""
-    found = proven_ways(space, starts, goals, seed, np.full(len(starts), options.rounds), options.timeout, told)
+    found = proven_ways(space, starts, goals, seed, np.full(len(starts), options.rounds), options.timeout, told, among)
     if asked.poses is not None:
         return found
     lasts = lambda way: limits.straight(np.diff(way, axis=0)).sum()
@@ -220,7 +248,7 @@ def _searched(
                     rows.append(i)
                     others.append(left[order[k - 1]][None])
         if rows:
-            again = proven_ways(space, starts[rows], others, seed, found.rounds[rows])
+            again = proven_ways(space, starts[rows], others, seed, found.rounds[rows], among=among[rows])
             for i, way in zip(rows, again.ways, strict=True):
                 if way is not None and lasts(way) < lasts(found.ways[i]):
                     found.ways[i] = way
@@ -228,12 +256,12 @@ def _searched(
     return found
 
 
-def rounded(space: CollisionChecker, ways: list[np.ndarray]) -> list[JointPath]:
+def rounded(space: CollisionChecker, ways: list[np.ndarray], among: np.ndarray) -> list[JointPath]:
     """Rounds the corners of ways; each path has a power of two of pieces, so that programs are few."""
     moves = [i for i, way in enumerate(ways) if (way[1:] != way[:-1]).any()]
     paths = {i: JointPath.polyline(way) for i, way in enumerate(ways) if i not in moves}
     if moves:
-        paths |= dict(zip(moves, blended(space, [ways[i] for i in moves]), strict=True))
+        paths |= dict(zip(moves, blended(space, [ways[i] for i in moves], among[moves]), strict=True))
     return [padded(paths[i], 2 ** max(2, int(np.ceil(np.log2(len(paths[i].lengths)))))) for i in range(len(ways))]
 
 
@@ -261,6 +289,16 @@ class Ends(NamedTuple):
     goals: np.ndarray
     poses: np.ndarray | None
     single: bool
+
+    def of_scenes(self, who: str, scenes: int) -> Ends:
+        """The problems in so many scenes, one each: as they are, or the only one in all of them. Raises `ValueError` for
+        another number."""
+        if len(self.starts) not in (1, scenes) or not scenes:
+            raise ValueError(
+                f"{who}: {scenes} scenes for {len(self.starts)} problems; give one scene, or a list of one for each"
+            )
+        every = lambda x: np.broadcast_to(x, (scenes, *x.shape[1:]))
+        return Ends(every(self.starts), every(self.goals), None if self.poses is None else every(self.poses), single=False)
 
 
 def ends(who: str, robot: Robot, start: Any, goal: Any) -> Ends:
@@ -299,7 +337,7 @@ def turned(robot: Robot, starts: np.ndarray, goals: np.ndarray) -> np.ndarray:
 
 def postures(
     robot: Robot,
-    scene: Scene | None,
+    scene: Scene | Sequence[Scene] | None,
     starts: np.ndarray,
     poses: np.ndarray,
     count: int,

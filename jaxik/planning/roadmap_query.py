@@ -50,7 +50,8 @@ class Queries:
         """The answer of `Roadmap.way`."""
         found = self._between_nodes(start, goal)
         if found is not None:
-            return PlanResult(Reason.SOLVED, "", found)
+            bound = self.space.length(unwound(np.stack([start, goal]), self.space.endless)[1] - start)
+            return PlanResult(Reason.SOLVED, "", found, None, self.space.length(np.diff(found, axis=0)).sum(), bound)
         asked = ends("Roadmap.way", self.robot, start, goal)
         result = self._ways(asked, seed, options, self._limits("Roadmap.way", options), self.number)
         return result[0] if asked.single else result
@@ -62,14 +63,19 @@ class Queries:
         ways, checked = list(found.waypoints), found.checked.copy()
         bent = [i for i, way in enumerate(ways) if way is not None and len(way) > 2]
         if bent:
-            shorter, looked = shortened(self.space, [ways[i] for i in bent], LOOKS[0][0], np.zeros(len(bent)))
+            shorter, looked = shortened(
+                self.space, [ways[i] for i in bent], LOOKS[0][0], np.zeros(len(bent)), np.zeros(len(bent), int)
+            )
             checked[bent] += looked
             for i, way in zip(bent, shorter, strict=True):
                 ways[i] = ways[i] if way is None else way
         solved = [way for way in ways if way is not None]
-        motions = iter(timed(self.robot, rounded(self.space, solved), limits, options.places) if solved else ())
+        motions = iter(
+            timed(self.robot, rounded(self.space, solved, np.zeros(len(solved), int)), limits, options.places) if solved else ()
+        )
         trajectories = tuple(None if way is None else next(motions) for way in ways)
-        result = PlanResult(found.reason, found.where, tuple(ways), trajectories, found.rounds, checked)
+        lengths = self._lengths(ways)
+        result = PlanResult(found.reason, found.where, tuple(ways), trajectories, lengths, found.bound, found.rounds, checked)
         return result[0] if asked.single else result
 
     def _limits(self, who: str, options: QueryOptions) -> Limits:
@@ -115,7 +121,18 @@ class Queries:
             for i, way in zip(left.tolist(), found.ways, strict=True):
                 ways[i] = way
         reason[[i for i in rows if ways[i] is None]] = int(Reason.NOT_CONVERGED)
-        return PlanResult(reason, tuple(where), tuple(ways), (None,) * len(starts), rounds, checked)
+        bounds = np.where([way is None for way in ways], np.nan, self._bounds(starts, np.where(free[..., None], goals, np.nan)))
+        none = (None,) * len(starts)
+        return PlanResult(reason, tuple(where), tuple(ways), none, self._lengths(ways), bounds, rounds, checked)
+
+    def _lengths(self, ways: list[np.ndarray | None]) -> np.ndarray:
+        """The lengths of ways (b,) [m], NaN where there is none."""
+        return np.array([np.nan if way is None else self.space.length(np.diff(way, axis=0)).sum() for way in ways])
+
+    def _bounds(self, starts: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        """The lengths (b,) [m] of straight lines from starts (b, n) to the nearest of the goals (b, g, n) that are not NaN."""
+        begin, end = unwound(np.stack(np.broadcast_arrays(starts[:, None], goals)), self.space.endless)
+        return np.nan_to_num(self.space.length(end - begin), nan=np.inf).min(axis=1, initial=np.inf)
 
     def _straight(
         self, starts: np.ndarray, goals: np.ndarray, free: np.ndarray, apart: dict[bytes, int]

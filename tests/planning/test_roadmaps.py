@@ -265,6 +265,7 @@ def test_many_are_as_each_is_alone(arm, roadmap):
             assert (alone.why, alone.rounds, alone.checked) == (each.why, each.rounds, each.checked)
             if each:
                 np.testing.assert_array_equal(alone.waypoints, each.waypoints)
+                assert alone.length == each.length >= each.bound - 1e-9 and alone.bound == each.bound
     assert len(roadmap.way([], np.empty((0, 3)))) == 0
 
 

@@ -25,7 +25,7 @@ def test_the_chain_is_the_shortest_of_all_lines_that_are_free(arm):
     points = np.concatenate([[START], inner, [GOAL]])
     lines = np.zeros((shortcuts.PLACES, shortcuts.PLACES), np.int8)
     places = shortcuts.Places(points, lines)
-    (chain,), looked = shortcuts.chains(space, [places], step, np.zeros(1))
+    (chain,), looked = shortcuts.chains(space, [places], step, np.zeros(1), np.zeros(1, int))
     graph = np.zeros((count, count))
     for i in range(count):
         for j in range(i + 1, count):
@@ -45,7 +45,7 @@ def test_no_chain_where_every_line_hits(arm):
     robot, _ = arm
     space = CollisionChecker(robot, POLES, 0.0)
     places = shortcuts.Places(np.array([START, GOAL]), np.zeros((shortcuts.PLACES, shortcuts.PLACES), np.int8))
-    (chain,), _ = shortcuts.chains(space, [places], 0.05, np.zeros(1))
+    (chain,), _ = shortcuts.chains(space, [places], 0.05, np.zeros(1), np.zeros(1, int))
     assert len(chain) == 0
 
 
@@ -67,13 +67,13 @@ def test_the_search_is_that_of_plain_xla(arm):
     robot, _ = arm
     space = CollisionChecker(robot, POLES, 0.0)
     lower, upper = (x[None] for x in robot.finite_limits)
-    search = tree_search.Searches(space, START[None], [GOAL[None]], lower, upper, 0)
+    search = tree_search.Searches(space, START[None], [GOAL[None]], lower, upper, 0, np.zeros(1, int))
     rows = np.arange(1)
     reach = *search.range, np.full(1, 0.05, np.float32), np.zeros(1, np.float32)
-    fixed = np.asarray(space.weights, np.float32), space.obstacles, space.carried
+    fixed = space.world.around, space.world.body, np.asarray(space.weights, np.float32)
     given = *(x.copy() for x in search.found), search.offset, *reach, np.full(1, 15, np.int32)
     with jax.enable_x64(False):
-        plain = tree_search.Search(*map(np.asarray, tree_search.searched(robot).by_xla(*given, *fixed)))
+        plain = tree_search.Search(*map(np.asarray, tree_search.searched(robot, False).by_xla(*given, *fixed)))
     search.grow(rows, np.full(1, 15), 0.05, np.zeros(1))
     found = search.found
     assert found.turn.tolist() == plain.turn.tolist() == [15] and found.count.tolist() == plain.count.tolist()
@@ -88,9 +88,9 @@ def test_the_shortest_chain_is_a_program_of_xla_too(arm):
     robot, _ = arm
     space, blocks = CollisionChecker(robot, POLES, 0.0), (shortcuts.BLOCKS, 16)
     rows = np.zeros((2, 3, *blocks), np.float32), np.full(2, 5, np.int32), np.zeros((2, 128, *blocks), np.int8)
-    given = *rows, np.full((2, 2), 0.05, np.float32), np.ones(3, np.float32), space.obstacles, space.carried
+    given = *rows, np.full((2, 2), 0.05, np.float32), space.world.around, space.world.body, np.ones(3, np.float32)
     with jax.enable_x64(False):
-        before, lines, length, looked = jax.eval_shape(shortcuts.shortest(robot).by_xla, *given)
+        before, lines, length, looked = jax.eval_shape(shortcuts.shortest(robot, False).by_xla, *given)
     assert before.shape[0] == 2 and lines.shape == (2, 128, *blocks) and length.shape == looked.shape == (2,)
 
 
