@@ -118,8 +118,8 @@ def put(scene: jaxik.Scene, box: int, frame: Any) -> jaxik.Scene:
 
 
 def moved(roadmap: Roadmap, judge: Judge, box: int, after: int, moves: int, seconds: float) -> dict[str, Any]:
-    """Random moves of a box, as many as `seconds` allow, `after` so many others: what is looked at again, and whether a way between random nodes, a line
-    that has become free, and one that has stayed so, are."""
+    """Random moves of a box, `after` so many others and as many as `seconds` allow: what is looked at again, and whether a way
+    between random nodes, a line that has become free, and one that has stayed so, are."""
     rng, base = np.random.default_rng([2, after]), np.asarray(roadmap.robot.world_T_base)
     now, times, looked, changed, fault = roadmap, [], [], [], {"ways": 0, "gained": 0, "kept": 0}
     ways, judged = 0, dict.fromkeys(fault, 0)
