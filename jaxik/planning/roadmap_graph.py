@@ -1,10 +1,10 @@
 """The graph of a roadmap: which nodes lie near, which hang together, and the shortest ways on it, by A* in a kernel.
 
-Of all nodes that have been come to, the one is looked at next from which the way to the goal may be shortest: what it took to
-come there, and the straight line on [Hart, Nilsson and Raphael 1968]. Lines lead on from a node one after the other; which of
-all nodes is next, the sixteen lanes of a team find together. In a cell, of 5,000 nodes fifty are looked at in the median, 0.05
-ms. Starts and goals are no nodes: a search begins at all those that the start has lines to, and may end at any from which a
-goal is reached.
+The node is looked at next from which the way to the goal may be shortest, of all that have been come to: what it took to come
+there, and the straight line on [Hart, Nilsson and Raphael 1968]. Lines lead on from a node one after the other; which of all
+nodes is next, the sixteen lanes of a team find together. In a cell of 5,000 nodes some fifty are looked at in the median.
+Starts and goals are no nodes: a search begins at all those that the start has lines to, and may end at any from which a goal is
+reached.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ class _Search(NamedTuple):
 def _searched(
     cost: Any, leave: Any, came: Any, goals: Any, first: Any, ends: Any, lengths: Any, places: Any, around: Any
 ) -> Any:
-    """From which node the best way has come to each, and from which it leaves, -1 for none."""
+    """The node from which the best way has come to each, and the one from which it leaves, -1 for none."""
 
     def straight(node: Any) -> Any:
         """A bound from below of the way from a node on."""
