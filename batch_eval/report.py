@@ -18,7 +18,9 @@ from tables.collision import (
 from tables.forces import dynamics_markdown, identification_markdown, torque_markdown, touch_markdown
 from tables.motions import (
     astar_markdown,
+    ends_markdown,
     harvest_motions_markdown,
+    jerk_markdown,
     peppers_markdown,
     planning_markdown,
     predictive_markdown,
@@ -52,10 +54,12 @@ TABLES = {
     "collision_scenes.json": scenes_markdown,
     "collision_scaling.json": scaling_markdown,
     "dynamics_benchmark.json": dynamics_markdown,
+    "ends_benchmark.json": ends_markdown,
     "general_arms.json": general_markdown,
     "harvest_motions.json": harvest_motions_markdown,
     "identification.json": identification_markdown,
     "ik_benchmark.json": ik_markdown,
+    "jerk_benchmark.json": jerk_markdown,
     "mesh_benchmark.json": mesh_markdown,
     "motions.json": motions_markdown,
     "narrow_goals.json": narrow_markdown,

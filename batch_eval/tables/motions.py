@@ -7,6 +7,8 @@ from typing import Any
 
 from tables.words import duration, first_calls
 
+KINDS = "solved", "no way", "not converged"
+
 
 def predictive_markdown(result: dict[str, Any]) -> str:
     """A row for each horizon, and before them the instantaneous motion."""
@@ -68,6 +70,25 @@ def statistics_markdown(result: dict[str, Any]) -> str:
         f"nearly the last one that it ends at once; with 0.05 the directions succeed in {later}."
     )
     return "\n".join([*lines, "", others, best, secant])
+
+
+def ends_markdown(result: dict[str, Any]) -> str:
+    """Turns, poses, ways out of collision, and proofs that there is no way."""
+    seam, poses, escapes, cells = (result[part] for part in ("seam", "poses", "escapes", "cells"))
+    share, cpu = seam["share_of_the_straight_time_without_turns"][0], poses["more_cpu_ms"]
+    counts = cells["counts"]
+    rows = [
+        ("an arm with three endless joints, goals across the seam, solved", f"{seam['solved']} of {seam['problems']}"),
+        ("of these every joint the short way", f"{seam['short_way_each_joint']}"),
+        ("motion time, of the straight line to the goal as it was given, p50", f"{100 * share:.0f} %"),
+        ("goals as poses of the tip, as postures, solved", f"{poses['poses_solved']}, {poses['postures_solved']}"),
+        ("processor's time more than to a posture, p50, p95", f"{cpu[0]:.1f} ms, {cpu[1]:.1f} ms"),
+        ("starts in collision led out of it", f"{escapes['solved']} of {escapes['starts']}"),
+        ("of these with a clearance that rises throughout", f"{escapes['rise_throughout']}"),
+        ("three joints among balls: solved, proven to have no way, neither", ", ".join(str(counts.get(k, 0)) for k in KINDS)),
+        ("a proof that there is no way, p50, slowest", ", ".join(f"{cells['ms']['no way'][k]:.0f} ms" for k in (0, 2))),
+    ]
+    return "\n".join(["| where motions begin and end | |", "| --- | --- |", *(f"| {name} | {value} |" for name, value in rows)])
 
 
 def planning_markdown(result: dict[str, Any]) -> str:
@@ -151,6 +172,27 @@ def _of_changes(made: dict[str, Any], others: dict[str, Any], parts: list[dict[s
     told += f"{places:,} places, {hit} hit. In {others['problems']} other cells, in which all things stand elsewhere, "
     told += f"{100 * others['looked_at']:.0f} % of the lines are looked at, and {others['without_search']} problems are solved "
     return told + f"without a search, {others['solved']} with one; `plan_motion` solves {others['plan_motion_solved']}."
+
+
+def jerk_markdown(result: dict[str, Any]) -> str:
+    """Motions with a limit of the jerk, a row for each."""
+    lines = [
+        "| limits of the jerk | solved, free | velocity, acceleration, jerk, at most of their limits | to the motion without | "
+        "through the waypoints, to Ruckig | its timing; the call; without jerk |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, row in result.items():
+        if not isinstance(row, dict) or "problems" not in row:
+            continue
+        used = ", ".join(f"{row[f'share_of_{kind}']:.5f}" for kind in ("velocity", "acceleration", "jerk"))
+        lines.append(
+            f"| {name} | {row['solved']}, {row['free']} of {row['problems']} | {used} | "
+            f"{row['to_without_jerk_mean']:.3f} (at most {row['to_without_jerk_most']:.2f}) | "
+            f"at most {row['lines_to_ruckig_most']:.3f}; {row['lines_to_ruckig_on_lines_most']:.3f} where it stays on the "
+            f"lines, {row['ruckig_on_lines']} of {row['solved']} | "
+            f"{row['ms_timing_p50']:.0f} ms; {row['ms_p50']:.0f} ms; {row['ms_without_p50']:.0f} ms |"
+        )
+    return "\n".join(lines)
 
 
 def trajectory_markdown(result: dict[str, Any]) -> str:

@@ -1,6 +1,7 @@
 """Motions from posture to posture: paths through the space of joints, free of collision, and their timing."""
 
-from jaxik.planning.planner import PlanOptions, PlanResult, plan_motion
+from jaxik.planning.plan_result import PlanResult
+from jaxik.planning.planner import PlanOptions, plan_motion
 from jaxik.planning.roadmap import Roadmap, RoadmapOptions, build_roadmap
 from jaxik.planning.roadmap_file import load_roadmap, save_roadmap
 from jaxik.planning.roadmap_query import QueryOptions

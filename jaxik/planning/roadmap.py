@@ -25,7 +25,7 @@ from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.options import Options, anything, count, number
 from jaxik.planning.collision_checker import RESOLUTION, CollisionChecker, judged
-from jaxik.planning.planner import PlanResult
+from jaxik.planning.plan_result import PlanResult
 from jaxik.planning.roadmap_blocked import Blocked
 from jaxik.planning.roadmap_graph import Graph, neighbours
 from jaxik.planning.roadmap_query import Queries, QueryOptions

@@ -1,7 +1,7 @@
 """The obstacles that block the lines of a roadmap, as far as they are known from how the scene has changed.
 
-A line that was free until an obstacle came is blocked by that alone. Once it is gone again, there is nothing left to prove. What
-blocks a line that was never free is not known.
+A line that was free until an obstacle came is blocked by that alone. Once it is gone again, there is nothing left to prove.
+What blocks a line that was never free is not known.
 """
 
 from __future__ import annotations

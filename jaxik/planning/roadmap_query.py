@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,11 @@ from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
 from jaxik.options import Options, count, instance, per_joint
-from jaxik.planning.collision_checker import CollisionChecker, judged
-from jaxik.planning.limits import Limits, motion_limits
-from jaxik.planning.planner import Ends, PlanResult, ends, postures, refusal, rounded, timed, turned
+from jaxik.planning.collision_checker import CollisionChecker
+from jaxik.planning.limits import Limits, limit_of, motion_limits
+from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, reached, turned
+from jaxik.planning.plan_result import Place, PlanResult
+from jaxik.planning.planner import admitted, arrived, rounded, timed
 from jaxik.planning.roadmap_graph import Graph, Joined, unwound
 from jaxik.planning.ways import LOOKS, proven_ways, shortened
 from jaxik.reasons import Reason
@@ -31,6 +34,9 @@ class QueryOptions(Options, who="Roadmap"):
         unit="rad/s2, m/s2",
         words="limits of acceleration, one number or one a joint; None is four times the velocity a second",
     )
+    jerk: Any = per_joint(
+        default=None, unit="rad/s3, m/s3", words="limits of jerk, one number or one a joint; None is no limit"
+    )
     near: int = count(default=8, words="nearest nodes that a posture is joined to; where it is to none, eight times as many")
     rounds: int = count(default=0, least=0, words="edges that a search tries where the roadmap knows no way; 0: none")
     task: Task = instance(default=POSE, kind=Task, words="what a pose as the goal binds")
@@ -43,6 +49,9 @@ class Queries:
 
     def __init__(self, space: CollisionChecker, robot: Robot, scene: Scene | None, graph: Graph, free: np.ndarray):
         self.space, self.robot, self.scene, self.graph, self.lengths = space, robot, scene, graph, graph.in_order(free)
+        bounds = space.lower, space.upper
+        self.nowhere = np.full((2, len(space.weights)), np.nan)
+        self.place = Place(robot, scene, float(space.margin), *bounds, space.weights, False)
         joined = np.bincount(graph.edges[free].ravel())  # a node without a line is asked for like any other posture
         self.number = {graph.nodes[i].tobytes(): i for i in np.flatnonzero(joined)[::-1].tolist()}
 
@@ -51,14 +60,18 @@ class Queries:
         found = self._between_nodes(start, goal)
         if found is not None:
             bound = self.space.length(unwound(np.stack([start, goal]), self.space.endless)[1] - start)
-            return PlanResult(Reason.SOLVED, "", found, None, self.space.length(np.diff(found, axis=0)).sum(), bound)
-        asked = ends("Roadmap.way", self.robot, start, goal)
+            known = found, None, self.space.length(np.diff(found, axis=0)).sum(), bound, 0, 0
+            reach = reached(self.robot, found[-1], goal[None])
+            return PlanResult(Reason.SOLVED, "", *known, *reach, 0, self.nowhere, self.place)
+        asked = ends("Roadmap.way", self.robot, start, goal, several_poses=True)
         result = self._ways(asked, seed, options, self._limits("Roadmap.way", options), self.number)
         return result[0] if asked.single else result
 
     def plan(self, start: Any, goal: Any, seed: int, options: QueryOptions) -> PlanResult:
         """The answer of `Roadmap.plan`."""
-        asked, limits = ends("Roadmap.plan", self.robot, start, goal), self._limits("Roadmap.plan", options)
+        asked = ends("Roadmap.plan", self.robot, start, goal, several_poses=True)
+        limits = self._limits("Roadmap.plan", options)
+        jerk = None if options.jerk is None else limit_of("Roadmap.plan", "jerk", options.jerk, (self.robot.num_joints,))
         found = self._ways(asked, seed, options, limits, {})
         ways, checked = list(found.waypoints), found.checked.copy()
         bent = [i for i, way in enumerate(ways) if way is not None and len(way) > 2]
@@ -70,12 +83,11 @@ class Queries:
             for i, way in zip(bent, shorter, strict=True):
                 ways[i] = ways[i] if way is None else way
         solved = [way for way in ways if way is not None]
-        motions = iter(
-            timed(self.robot, rounded(self.space, solved, np.zeros(len(solved), int)), limits, options.places) if solved else ()
-        )
+        paths = rounded(self.space, solved, np.zeros(len(solved), int), smooth=jerk is not None) if solved else []
+        motions = iter(timed(self.robot, paths, limits, jerk, options.places))
         trajectories = tuple(None if way is None else next(motions) for way in ways)
-        lengths = self._lengths(ways)
-        result = PlanResult(found.reason, found.where, tuple(ways), trajectories, lengths, found.bound, found.rounds, checked)
+        changes = {"trajectory": trajectories, "length": self._lengths(ways), "checked": checked}
+        result = dataclasses.replace(found, waypoints=tuple(ways), **changes)
         return result[0] if asked.single else result
 
     def _limits(self, who: str, options: QueryOptions) -> Limits:
@@ -94,18 +106,14 @@ class Queries:
 
     def _ways(self, asked: Ends, seed: int, options: QueryOptions, limits: Limits, apart: dict[bytes, int]) -> PlanResult:
         """The ways of a batch of problems; no straight lines are looked at between two different postures of those `apart`."""
-        starts, goals, reason = asked.starts, asked.goals, np.zeros(len(asked.starts), int)
+        starts, none = asked.starts, np.zeros(len(asked.starts), int)
+        answers = Answers(none.copy(), asked.goals, np.full_like(starts, np.nan))
         if asked.poses is not None:
             bound = options.postures, limits, seed, options.task, float(self.space.margin)
-            posed, goals = postures(self.robot, self.scene, starts, asked.poses, *bound)
-            reason = np.array(posed, int)
-        verdicts = judged(self.robot, self.space, np.concatenate([starts, goals.reshape(-1, starts.shape[1])]))
-        at_start, at_goal = verdicts[: len(starts)], verdicts[len(starts) :].reshape(goals.shape[:2])
-        free = (at_start[:, None] == Reason.SOLVED) & (at_goal == Reason.SOLVED)
-        where, ways = [""] * len(starts), self._straight(starts, goals, free, apart)
-        for i in np.flatnonzero(reason | at_start | ~free.any(axis=1)).tolist():
-            reason[i], where[i] = refusal(int(reason[i]), int(at_start[i]), at_goal[i])
-        rows = [i for i, way in enumerate(ways) if way is None and not where[i]]
+            answers = postures_of_each(self.robot, self.scene, starts, asked.poses, *bound)
+        goals, free, ended = admitted(self.robot, self.space, starts, answers, none)
+        ways = self._straight(starts, goals, free, apart)
+        rows = [i for i, way in enumerate(ways) if way is None and not ended.where[i]]
         aims = [goals[i][free[i]] for i in rows]
         joined = iter(self._joined(np.concatenate([starts[rows], *aims]), options.near))
         begin, arrive = [next(joined) for _ in rows], [[next(joined) for _ in aim] for aim in aims]
@@ -114,16 +122,26 @@ class Queries:
         rounds, checked = np.zeros((2, len(starts)), int)
         left = np.array([i for i in rows if ways[i] is None], int)
         if len(left) and options.rounds:
-            most = np.full(len(left), options.rounds)
             aims = [turned(self.robot, starts[i][None], goals[i][free[i]][None])[0] for i in left]
-            found = proven_ways(self.space, starts[left], aims, seed, most)
-            rounds[left], checked[left] = found.rounds, found.checked
+            found = proven_ways(self.space, starts[left], aims, seed, np.full(len(left), options.rounds))
+            rounds[left], checked[left], ended.stuck[left] = found.rounds, found.checked, found.gaps
             for i, way in zip(left.tolist(), found.ways, strict=True):
                 ways[i] = way
-        reason[[i for i in rows if ways[i] is None]] = int(Reason.NOT_CONVERGED)
+        ended.reason[[i for i in rows if ways[i] is None]] = int(Reason.NOT_CONVERGED)
+        ended.stuck[ended.reason == Reason.SOLVED] = np.nan
         bounds = np.where([way is None for way in ways], np.nan, self._bounds(starts, np.where(free[..., None], goals, np.nan)))
-        none = (None,) * len(starts)
-        return PlanResult(reason, tuple(where), tuple(ways), none, self._lengths(ways), bounds, rounds, checked)
+        told_of = (
+            ended.reason,
+            tuple(ended.where),
+            tuple(ways),
+            (None,) * len(starts),
+            self._lengths(ways),
+            bounds,
+            rounds,
+            checked,
+        )
+        reach = arrived(self.robot, ways, goals, asked, options.postures)
+        return PlanResult(*told_of, *reach, none, ended.stuck, (self.place,) * len(starts))
 
     def _lengths(self, ways: list[np.ndarray | None]) -> np.ndarray:
         """The lengths of ways (b,) [m], NaN where there is none."""
