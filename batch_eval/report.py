@@ -24,6 +24,7 @@ from tables.motions import (
     peppers_markdown,
     planning_markdown,
     predictive_markdown,
+    roadmap_markdown,
     statistics_markdown,
     trajectory_markdown,
 )
@@ -68,6 +69,7 @@ TABLES = {
     "predictive_benchmark.json": predictive_markdown,
     "predictive_statistics.json": statistics_markdown,
     "random_programs.json": programs_markdown,
+    "roadmap_benchmark.json": roadmap_markdown,
     "sweep_benchmark.json": sweep_markdown,
     "teleoperation.json": teleoperation_markdown,
     "torque_estimation.json": torque_markdown,

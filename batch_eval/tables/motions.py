@@ -136,6 +136,44 @@ def planning_markdown(result: dict[str, Any]) -> str:
     )
 
 
+def roadmap_markdown(result: dict[str, Any]) -> str:
+    """A roadmap: what it takes to make, to ask, and to keep true as a box moves."""
+    made, asked = result["roadmap"], result["asked"]
+
+    def answers(name: str) -> str:
+        rows = [asked[f"{ends}_{name}"] for ends in ("nodes", "postures")]
+        times = [", ".join(duration(1e3 * row[k]) for k in ("p50_ms", "p95_ms")) for row in rows]
+        lasts = [f", {row['duration_s']:.2f} s" if "duration_s" in row else "" for row in rows]
+        return " | ".join(f"{time}; {row['length_m']:.2f} m{s}" for time, row, s in zip(times, rows, lasts, strict=True))
+
+    size = f"{made['nodes']:,} nodes, {made['lines']:,} lines, {made['free']:,} of them free"
+    lines = [
+        f"| {size} | between nodes: median, 95 %; length | between other postures |",
+        "| --- | --- | --- |",
+        *(f"| {words} | {answers(name)} |" for name, words in (("ways", "`way`"), ("plans", "`plan`, timed"))),
+        f"| `plan_motion`, timed | {answers('plan_motion')} |",
+        "",
+        *textwrap.wrap(_of_changes(made, result["others"], result["moved"]), 118),
+    ]
+    return "\n".join(lines)
+
+
+def _of_changes(made: dict[str, Any], others: dict[str, Any], parts: list[dict[str, Any]]) -> str:
+    """A roadmap from a file, as a box moves, and in other cells."""
+    moves = sum(part["moves"] for part in parts)
+    mean = lambda of: sum(part["moves"] * of(part) for part in parts) / moves
+    judged, hit = (sum(sum(part[name].values()) for part in parts) for name in ("judged", "hit"))
+    looked, changed = mean(lambda part: part["looked_at_mean"]), mean(lambda part: part["changed_mean"])
+    typical, slowest = mean(lambda part: part["update"]["p50_ms"]), max(part["update"]["most_ms"] for part in parts)
+    places, kept = sum(part["samples"] for part in parts), 1e3 * made["load_s"]
+    told = f"Made in {made['build_s']:.0f} s; read from a file of {made['file_MB']:.0f} MB in {kept:.0f} ms. A box was put "
+    told += f"elsewhere {moves:,} times: {looked:,.0f} lines are looked at on average, and {changed:,.0f} change, in "
+    told += f"{typical:.0f} ms (median; at most {slowest / 1e3:.1f} s). Of {judged:,} ways and lines that coal judged, at "
+    told += f"{places:,} places, {hit} hit. In {others['problems']} other cells, in which all things stand elsewhere, "
+    told += f"{100 * others['looked_at']:.0f} % of the lines are looked at, and {others['without_search']} problems are solved "
+    return told + f"without a search, {others['solved']} with one; `plan_motion` solves {others['plan_motion_solved']}."
+
+
 def jerk_markdown(result: dict[str, Any]) -> str:
     """Motions with a limit of the jerk, a row for each."""
     lines = [

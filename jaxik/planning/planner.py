@@ -153,7 +153,7 @@ def _planned(
     places = _places(robot, scene, space, options, len(asked.starts))
     starts, escapes = _begun(robot, space, places, asked.starts, among) if options.escape else (asked.starts, {})
     answers = _goals(robot, scene, space, starts, asked, seed, options, limits)
-    goals, free, ended = _judged(robot, space, starts, answers, among)
+    goals, free, ended = admitted(robot, space, starts, answers, among)
     ways = _straight(space, starts, goals, free, limits, among)
     total = options.rounds if asked.single else len(starts)
     tell = progress or (lambda done, total: None)
@@ -164,14 +164,14 @@ def _planned(
     )
     if options.improve:
         _improve(space, ways, seed, options.improve, among)
-    reach = _reached(robot, ways, goals if asked.poses is not None else asked.goals, asked, options)
+    reach = arrived(robot, ways, goals if asked.poses is not None else asked.goals, asked, options.postures)
     bounds = np.array([np.nan if way is None else space.length(sought[i] - way[0]).min() for i, way in enumerate(ways)])
     lines = np.array([len(escapes[i]) - 1 if i in escapes and way is not None else 0 for i, way in enumerate(ways)], int)
     ways = [way if way is None or i not in escapes else np.concatenate([escapes[i][:-1], way]) for i, way in enumerate(ways)]
     moved = [i for i, way in enumerate(ways) if way is not None]
-    paths = _rounded(space, [ways[i] for i in moved], among[moved], smooth=jerk is not None)
-    timed = iter(_timed(robot, paths, limits, jerk, options.places))
-    trajectories = tuple(None if way is None else next(timed) for way in ways)
+    paths = rounded(space, [ways[i] for i in moved], among[moved], smooth=jerk is not None)
+    motions = iter(timed(robot, paths, limits, jerk, options.places))
+    trajectories = tuple(None if way is None else next(motions) for way in ways)
     tell(total, total)
     lengths = np.array([np.nan if way is None else space.length(np.diff(way, axis=0)).sum() for way in ways])
     told_of = ended.reason, tuple(ended.where), tuple(ways), trajectories, lengths, bounds, rounds, checked
@@ -267,7 +267,7 @@ class Ended(NamedTuple):
     stuck: np.ndarray
 
 
-def _judged(
+def admitted(
     robot: Robot, space: CollisionChecker, starts: np.ndarray, answers: Answers, among: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, Ended]:
     """The goals (b, g, n), which of them are free to go to from a start that is (b, g), and what is refused."""
@@ -288,15 +288,15 @@ def _judged(
     return goals, free, ended
 
 
-def _reached(
-    robot: Robot, ways: Sequence[np.ndarray | None], goals: np.ndarray, asked: Ends, options: PlanOptions
+def arrived(
+    robot: Robot, ways: Sequence[np.ndarray | None], goals: np.ndarray, asked: Ends, postures: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """The number (b,) of the goal that each way reaches, -1 of none, and the turns (b, n) by which it is beyond that."""
     number, turns = np.full(len(ways), -1), np.zeros((len(ways), robot.num_joints), int)
     for i, way in enumerate(ways):
         if way is not None:
             number[i], turns[i] = reached(robot, way[-1], goals[i])
-    return np.where(number < 0, number, number // (1 if asked.poses is None else options.postures)), turns
+    return np.where(number < 0, number, number // (1 if asked.poses is None else postures)), turns
 
 
 def _straight(
@@ -314,7 +314,7 @@ def _straight(
     return [np.stack([starts[i], goals[i, k]]) if np.isfinite(times[i, k]) else None for i, k in best]
 
 
-def _rounded(space: CollisionChecker, ways: list[np.ndarray], among: np.ndarray, smooth: bool) -> list[JointPath]:
+def rounded(space: CollisionChecker, ways: list[np.ndarray], among: np.ndarray, smooth: bool) -> list[JointPath]:
     """Rounds the corners of ways, `smooth` with a continuous second derivative; each path has a power of two of pieces, so that
     programs are few."""
     moves = [i for i, way in enumerate(ways) if (way[1:] != way[:-1]).any()]
@@ -324,19 +324,19 @@ def _rounded(space: CollisionChecker, ways: list[np.ndarray], among: np.ndarray,
     return [padded(paths[i], 2 ** max(2, int(np.ceil(np.log2(len(paths[i].lengths)))))) for i in range(len(ways))]
 
 
-def _timed(robot: Robot, paths: list[JointPath], limits: Limits, jerk: np.ndarray | None, places: int) -> list[Trajectory]:
+def timed(robot: Robot, paths: list[JointPath], limits: Limits, jerk: np.ndarray | None, places: int) -> list[Trajectory]:
     """Times the paths, those of as many pieces together; one by one within a limit of the jerk, as moments differ in number."""
     if jerk is not None:
         return [time_path(path, **limits._asdict(), jerk=jerk, places=2 * places, robot=robot) for path in paths]
-    timed: dict[int, Trajectory] = {}
+    motions: dict[int, Trajectory] = {}
     pieces = np.array([len(path.lengths) for path in paths], int)
     for size in np.unique(pieces):
         rows = np.flatnonzero(pieces == size)
         if len(rows) == 1:  # it need not be stacked
-            timed[rows[0]] = time_path(paths[rows[0]], **limits._asdict(), places=places, robot=robot)
+            motions[rows[0]] = time_path(paths[rows[0]], **limits._asdict(), places=places, robot=robot)
             continue
         stack = jax.tree_util.tree_map(lambda *x: np.stack(x), *(paths[i] for i in rows))
         together = time_path(stack, **limits._asdict(), places=places, robot=robot)
         for k, i in enumerate(rows.tolist()):
-            timed[i] = jax.tree_util.tree_map(lambda x, k=k: x[k], together)
-    return [timed[i] for i in range(len(paths))]
+            motions[i] = jax.tree_util.tree_map(lambda x, k=k: x[k], together)
+    return [motions[i] for i in range(len(paths))]
