@@ -2,7 +2,9 @@
 
 Each program chains two to five steps (loops, branches, gathers, scatters, searches, integers of all widths, nested) in float32
 or float64, and is compared on 19 rows, by its value or by a derivative; `tests/program_generator.py` says how. Prints what
-differs as it is found, and writes the counts by kind to `batch_eval/random_programs.json`. Needs `pip install -e ".[test]"`.
+differs as it is found, and writes the counts by kind to `batch_eval/random_programs.json`. With `--tables` those of
+`tests/table_generator.py`, which nest loops and branches that write to arrays in place, by rows and by teams of lanes; their
+counts are printed alone. Needs `pip install -e ".[test]"`.
 """
 
 from __future__ import annotations
@@ -18,6 +20,8 @@ from pathlib import Path
 import jax
 from race import processor
 
+from jaxik import spmd
+
 HERE = Path(__file__).parent
 OUT = HERE / "random_programs.json"
 TOGETHER = 20  # programs compiled in one call
@@ -27,10 +31,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=20_000)
     parser.add_argument("--resume", action="store_true", help="go on where the JSON ends; what was wrong is judged again")
+    parser.add_argument("--tables", action="store_true", help="programs that write to arrays in place")
     wanted = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_disable_most_optimizations", True)  # XLA's half of the time
     sys.path.insert(0, str(HERE.parent / "tests"))
+    if wanted.tables:
+        tables(wanted.count)
+        return
     import program_generator
 
     kinds: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
@@ -70,6 +78,22 @@ def main() -> None:
         OUT.write_text(json.dumps(result, indent=1) + "\n")
     for kind, counts in sorted(kinds.items()):
         print(f"{kind:40s}", dict(counts))
+
+
+def tables(count: int) -> None:
+    """Runs so many programs that write to arrays in place, half of them by teams; counts refusals by their reason."""
+    import table_generator
+
+    said: collections.Counter[str] = collections.Counter()
+    for number in range(count):
+        case = table_generator.Case.of(number // 2, teams=bool(number % 2))
+        k, x, a = case.rows()
+        found = spmd.describe(case.function(), k[0], x[0], a).refused or table_generator.judged([case])[0]
+        said[found or "equal"] += 1
+        if found not in ("", "ill-conditioned"):
+            print(case, found, flush=True)
+        jax.clear_caches()
+    print(dict(said))
 
 
 if __name__ == "__main__":

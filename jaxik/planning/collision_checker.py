@@ -13,7 +13,7 @@ from jaxik.collision.clearances import by_object, collides
 from jaxik.collision.continuous_collision import joint_reaches, motion_collides
 from jaxik.collision.own_shape import by_volumes
 from jaxik.collision.scene import Scene
-from jaxik.kinematics.joint_turns import endless, whole_turns
+from jaxik.kinematics.joint_turns import endless, whole_turns, wound
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.world import Carried, World, apart, by_lane, in_world, together
 from jaxik.reasons import Reason
@@ -33,15 +33,24 @@ class CollisionChecker:
     number (b,).
 
     `weights` (n,) are the most that a joint's unit moves the robot [m], by which distances between configurations are measured.
+    `lower` and `upper` (n,) are the robot's limits, and those of `winding` [rad] for joints without any, if it is told.
     `checked` counts the configurations that were checked. Volumes of the robot that are JAX arrays are operands of its kernels:
     one serves all that an arm carries, if it has as many volumes."""
 
-    def __init__(self, robot: Robot, scene: Scene | Sequence[Scene] | None, margin: float, cushion: float = 0.0):
+    def __init__(
+        self,
+        robot: Robot,
+        scene: Scene | Sequence[Scene] | None,
+        margin: float,
+        cushion: float = 0.0,
+        winding: float | None = None,
+    ):
         self.world = World(robot, scene)
         self.volumes = World(by_volumes(robot), scene) if robot.surfaces else None
         self.robot = self.world.robot
         self.margin, self.cushion = np.float32(margin), np.float32(cushion)
         self.endless = endless(robot)
+        self.lower, self.upper = wound(robot, winding)
         self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, robot) if self.world.body.carried else robot)
         self.checked = 0
 
@@ -132,8 +141,9 @@ def touched(robot: Robot, scene: Scene, q: np.ndarray, margin: float) -> np.ndar
 def judged(robot: Robot, space: CollisionChecker | None, postures: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
     """The reason of each posture (b, n), LIMITS before COLLISION, which is known in a `space` alone; at the limits what float32
     makes of them counts as inside."""
+    lower, upper = (robot.lower, robot.upper) if space is None else (space.lower, space.upper)
     near = 1e-6 * (1.0 + np.abs(postures))
-    inside = ((postures >= robot.lower - near) & (postures <= robot.upper + near)).all(axis=1)
+    inside = ((postures >= lower - near) & (postures <= upper + near)).all(axis=1)
     hits = np.zeros(len(postures), bool) if space is None else space.hits(postures, among=among)
     reason = np.where(~inside, Reason.LIMITS, np.where(hits, Reason.COLLISION, Reason.SOLVED))
     return np.where(np.isfinite(postures).all(axis=1), reason, Reason.INVALID)

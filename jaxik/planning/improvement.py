@@ -55,7 +55,7 @@ class Improvement:
         self.ways = [way - turns for way, turns in zip(ways, self.turns, strict=True)]
         self.lengths = np.array([self._length(way) for way in self.ways])
         self.ends = [way[[0, -1]] for way in self.ways]
-        self.ranges = [search_range(space.robot, way[0]) for way in self.ways]
+        self.ranges = [search_range(space, *each) for each in zip((way[0] for way in self.ways), self.turns, strict=True)]
         self.cushion = kept_at(space, self.ends, CUSHION, among)
         self.draws = [np.random.default_rng(seed) for _ in ways]
 

@@ -31,8 +31,9 @@ from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
 from jaxik.optimise import splines
 from jaxik.planning.limits import Limits
+from jaxik.planning.motion_ends import ends, turned
+from jaxik.planning.plan_result import HELP
 from jaxik.planning.planned_ways import soonest
-from jaxik.planning.planner import HELP, ends, turned
 from jaxik.planning.trajectory import JointPath, Trajectory, along_pieces
 from jaxik.planning.trajectory_judge import finer
 from jaxik.planning.trajectory_search import Search, Solved

@@ -15,8 +15,8 @@ from jaxik.kinematics.robot import Robot
 from jaxik.optimise import collocation, splines
 from jaxik.optimise.programme import Problem
 from jaxik.planning.hastening import hastened
+from jaxik.planning.motion_ends import Ends
 from jaxik.planning.planned_ways import Ways
-from jaxik.planning.planner import Ends
 from jaxik.planning.trajectory_judge import BROKEN, CUSHION, Judge, at_knots, finer, put
 from jaxik.planning.trajectory_terms import Target, TrajectoryOptions, told_apart
 from jaxik.reasons import Reason

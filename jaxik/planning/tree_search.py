@@ -138,6 +138,15 @@ class Searches:
                 node = int(found.parent[tree, node])
         return np.array(ways[0][::-1] + ways[1][1:], float)  # both end where they have met
 
+    def gap(self, row: int) -> np.ndarray:
+        """The places (2, n) at which the first tree, of the start, and the other one are nearest to each other."""
+        from scipy.spatial import cKDTree
+
+        flat = self.found.nodes[row].reshape(2, self.starts.shape[1], -1)
+        one, other = (nodes[:, :count].T for nodes, count in zip(flat, self.found.count[row], strict=True))
+        apart, nearest = cKDTree(one * self.space.weights).query(other * self.space.weights)
+        return np.array([one[nearest[np.argmin(apart)]], other[np.argmin(apart)]], float)
+
 
 class Reach(NamedTuple):
     """Where samples are drawn, least and greatest (n,), how far apart those of an edge are [m], and by how much they keep away

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.kinematics.joint_turns import whole_turns
-from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker
 from jaxik.planning.shortcuts import Places, chains
 from jaxik.planning.trajectory import JointPath
@@ -23,8 +22,8 @@ from jaxik.spmd.trace import TEAM_SIZE
 
 LOOKS = (0.05, 0.003), (0.025, 0.001), (0.0125, 0.0)  # steps of samples, and their cushion [m], one after another
 ROUNDS = 0.2, 0.5, 1.0  # of all, at which a search that has not arrived looks closer
-POINTS, AGAIN = 20, 3  # of a way, between which lines are tried, and how often at most
-BETTER = 0.98  # times as long as before, from which on it is not tried again
+POINTS, AGAIN = 14, 3  # of a way, between which lines are tried, and how often at most
+BETTER = 0.95  # times as long as before, from which on it is not tried again
 SHARES = 0.5 ** np.arange(1.0, 6.0)  # of the shorter line at a corner, at which its bend begins and ends
 CHORDS = 8
 CALL = 128  # rounds of the search between two looks at the clock
@@ -34,11 +33,13 @@ PATIENCE, SPREADS = 1024, 1.1  # rounds in which a tree becomes so many times as
 
 
 class Found(NamedTuple):
-    """Ways, or None where there is none; and for each the `rounds` of its search, and how many configurations it looked at."""
+    """Ways, or None where there is none; for each the `rounds` of its search, and how many configurations it looked at; and
+    where there is no way, the places (2, n) at which the trees came nearest to each other."""
 
     ways: list[np.ndarray | None]
     rounds: np.ndarray
     checked: np.ndarray
+    gaps: list[np.ndarray | None]
 
 
 def proven_ways(
@@ -56,12 +57,13 @@ def proven_ways(
     rounds of the first one and with how many have ended. Each is `among` what is in the scene of such a number (b,), and as it
     is alone."""
     among = np.zeros(len(starts), int) if among is None else among
-    found = Found([], np.zeros(0, int), np.zeros(0, int))
+    found = Found([], np.zeros(0, int), np.zeros(0, int), [])
     for first in range(0, len(starts), TOGETHER):
         some = slice(first, first + TOGETHER)
         tell = lambda taken, ended, first=first: progress and progress(taken, first + ended)
         again = _proven_ways(space, starts[some], goals[some], seed, rounds[some], seconds, tell, among[some])
-        found = Found(found.ways + again.ways, *map(np.append, found[1:], again[1:]))
+        taken, checked = (np.append(one, two) for one, two in zip(found[1:3], again[1:3], strict=True))
+        found = Found(found.ways + again.ways, taken, checked, found.gaps + again.gaps)
     return found
 
 
@@ -79,7 +81,7 @@ def _proven_ways(
     turns = np.broadcast_to(whole_turns(space.endless, starts), starts.shape)  # float32 has few digits left after many
     ends = [np.array([start, *goals]) - turn for start, goals, turn in zip(starts, goals, turns, strict=True)]
     ends, hopeless = _provable(space, ends, among)
-    ranges = [search_range(space.robot, each[0]) for each in ends]
+    ranges = [search_range(space, each[0], turn) for each, turn in zip(ends, turns, strict=True)]
     lower = np.array([np.minimum(low, each.min(axis=0)) for (low, _), each in zip(ranges, ends, strict=True)])
     upper = np.array([np.maximum(high, each.max(axis=0)) for (_, high), each in zip(ranges, ends, strict=True)])
     searches = Searches(space, starts - turns, [each[1:] for each in ends], lower, upper, seed, among)
@@ -106,12 +108,13 @@ def _proven_ways(
                 if way is None:
                     searches.begin(i)
                     continue
-                goals_of = ends[i][1:]
-                way[0], way[-1] = ends[i][0], goals_of[np.argmin(np.abs(goals_of - way[-1]).sum(axis=1))]
                 ways[i] = way + turns[i]
+                nearest = np.argmin(np.abs(goals[i] - ways[i][-1]).sum(axis=1))
+                ways[i][0], ways[i][-1] = starts[i], goals[i][nearest]  # to the last bit
                 clock.ended += 1
             left = np.array([i for i in left if ways[i] is None and searches.taken[i] < limit[i]], int)
-    return Found(ways, searches.taken, checked + TEAM_SIZE * searches.taken)
+    gaps = [None if way is not None else searches.gap(i) + turns[i] for i, way in enumerate(ways)]
+    return Found(ways, searches.taken, checked + TEAM_SIZE * searches.taken, gaps)
 
 
 def _provable(space: CollisionChecker, ends: Sequence[np.ndarray], among: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
@@ -166,13 +169,14 @@ def _searched(searches: Searches, rows: np.ndarray, step: float, cushion: np.nda
         rows = rows[~ended[rows]]
 
 
-def search_range(robot: Robot, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`finite_limits`; those of a joint that lacks one are moved as far towards the start (n,) as its other one allows:
-    how often it has turned before makes no difference to a search."""
-    lower, upper = robot.finite_limits
+def search_range(space: CollisionChecker, start: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`finite_limits`; those of a joint that lacks one are moved as far towards the start (n,) as its other one, and the bounds
+    of `space`, which is a `turn` (n,) further, allow: how often it has turned before makes no difference to a search."""
+    lower, upper = space.robot.finite_limits
+    robot = space.robot
     least, most = (np.where(np.isfinite(limit), 0.0, end) for limit, end in ((robot.lower, -np.inf), (robot.upper, np.inf)))
     moved = np.clip(start - 0.5 * (lower + upper), least, most)
-    return lower + moved, upper + moved
+    return np.maximum(lower + moved, space.lower - turn), np.minimum(upper + moved, space.upper - turn)
 
 
 def shortened(
@@ -236,12 +240,14 @@ def proven_chains(
     return [places[i].points[chain] if len(chain) else None for i, chain in enumerate(found)]
 
 
-def blended(space: CollisionChecker, ways: Sequence[np.ndarray], among: np.ndarray) -> list[JointPath]:
+def blended(space: CollisionChecker, ways: Sequence[np.ndarray], among: np.ndarray, smooth: bool = False) -> list[JointPath]:
     """The lines between the waypoints (k, n) of each way, each corner with the largest parabola of `SHARES` that is proven
     free, or as it is.
 
     A parabola lies no further from `CHORDS` chords between its points than `|a - 2 c + b| / (4 CHORDS^2)` in each joint, of its
-    corner c and its ends a, b; so a chord that keeps by so much more than the margin proves its part of it.
+    corner c and its ends a, b; so a chord that keeps by so much more than the margin proves its part of it. A `smooth` bend is
+    a pair of cubics in its place, whose second derivative rises from zero to twice the parabola's and falls again: it lies
+    twice as far from its chords at most.
     """
     lines = [_lines(way) for way in ways]
     corners = np.concatenate([way[1:-1] for way in ways])
@@ -251,13 +257,14 @@ def blended(space: CollisionChecker, ways: Sequence[np.ndarray], among: np.ndarr
     bends, left = np.zeros(len(corners)), np.arange(len(corners))
     for share in SHARES if len(corners) else ():
         tried = share * shorter[left]
-        free = _proven_bends(space, corners[left], before[left], after[left], tried, at[left])
+        free = _proven_bends(space, corners[left], before[left], after[left], tried, at[left], smooth)
         bends[left[free]] = tried[free]
         left = left[~free]
         if not len(left):
             break
     each = np.split(bends, np.cumsum([len(way) - 2 for way in ways])[:-1])
-    return [_bent(way, *line, bend) for way, line, bend in zip(ways, lines, each, strict=True)]
+    bend = _smoothly_bent if smooth else _bent
+    return [bend(way, *line, shares) for way, line, shares in zip(ways, lines, each, strict=True)]
 
 
 def _lines(way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -274,12 +281,17 @@ def _proven_bends(
     after: np.ndarray,
     share: np.ndarray,
     among: np.ndarray,
+    smooth: bool,
 ) -> np.ndarray:
-    """Whether the parabola at each corner (c, n) is proven free that begins so far (c,) before it and ends so far after it."""
+    """Whether the bend at each corner (c, n) is proven free that begins so far (c,) before it and ends so far after it."""
     begin, end = corner - share[:, None] * before, corner + share[:, None] * after
     x = np.linspace(0.0, 1.0, CHORDS + 1)[:, None, None]
     points = (1.0 - x) ** 2 * begin + 2.0 * x * (1.0 - x) * corner + x**2 * end
     away = np.abs(begin - 2.0 * corner + end) @ space.weights / (4.0 * CHORDS**2)
+    if smooth:
+        short = np.minimum(x, 1.0 - x)  # of the bend, to its nearer end
+        line = np.where(x < 0.5, corner - (1.0 - 2.0 * x) * (corner - begin), corner + (2.0 * x - 1.0) * (end - corner))
+        points, away = line + 4.0 / 3.0 * short**3 * (begin - 2.0 * corner + end), 2.0 * away
     rows = lambda each: each.reshape(-1, corner.shape[1])
     each = np.tile(away, CHORDS), RESOLUTION, np.tile(among, CHORDS)
     return np.all(space.proven(rows(points[:-1]), rows(points[1:]), *each).reshape(CHORDS, -1), axis=0)
@@ -287,14 +299,45 @@ def _proven_bends(
 
 def _bent(way: np.ndarray, along: np.ndarray, lengths: np.ndarray, bends: np.ndarray) -> JointPath:
     """The path along the lines of a way, with a parabola at each inner waypoint that begins and ends so far (k-2,) from it."""
+    none = np.zeros(way.shape[1])
+
+    def parabola(i: int, share: float) -> list[tuple[float, list[np.ndarray]]]:
+        bend = (along[i] - along[i - 1]) / (4.0 * share)
+        return [(2.0 * share, [none, bend, along[i - 1], way[i] - share * along[i - 1]])]
+
+    return _with_bends(way, along, lengths, bends, parabola)
+
+
+def _smoothly_bent(way: np.ndarray, along: np.ndarray, lengths: np.ndarray, bends: np.ndarray) -> JointPath:
+    """The path along the lines of a way, with a pair of cubics at each inner waypoint that begins and ends so far (k-2,) from
+    it, straight there: q'' is continuous."""
+    none = np.zeros(way.shape[1])
+
+    def cubics(i: int, share: float) -> list[tuple[float, list[np.ndarray]]]:
+        turn = along[i] - along[i - 1]
+        twist, middle = turn / (6.0 * share**2), way[i] + share * turn / 6.0
+        return [
+            (share, [twist, none, along[i - 1], way[i] - share * along[i - 1]]),
+            (share, [-twist, turn / (2.0 * share), along[i] - 0.5 * turn, middle]),
+        ]
+
+    return _with_bends(way, along, lengths, bends, cubics)
+
+
+def _with_bends(
+    way: np.ndarray,
+    along: np.ndarray,
+    lengths: np.ndarray,
+    bends: np.ndarray,
+    bend: Callable[[int, float], list[tuple[float, list[np.ndarray]]]],
+) -> JointPath:
+    """The path along the lines of a way, with the pieces of a bend at each inner waypoint that has a share (k-2,) of them."""
     shares, none = np.concatenate([[0.0], bends, [0.0]]), np.zeros(way.shape[1])
-    pieces, coefficients = [], []
+    pieces = []
     for i, share in enumerate(shares.tolist()):
         if share:
-            bend = (along[i] - along[i - 1]) / (4.0 * share)
-            pieces.append(2.0 * share)
-            coefficients.append([none, bend, along[i - 1], way[i] - share * along[i - 1]])
+            pieces += bend(i, share)
         if i < len(along):
-            pieces.append(max(0.0, lengths[i] - share - shares[i + 1]))
-            coefficients.append([none, none, along[i], way[i] + share * along[i]])
-    return JointPath(np.array(pieces), np.array(coefficients))
+            line = [none, none, along[i], way[i] + share * along[i]]
+            pieces.append((max(0.0, lengths[i] - share - shares[i + 1]), line))
+    return JointPath(*map(np.array, zip(*pieces, strict=True)))

@@ -27,6 +27,15 @@ class Expression(NamedTuple):
     known: list[Any]
     wide: bool
 
+    @property
+    def is_same(self) -> bool:
+        """Whether it gives its operand another type alone that is the same to LLVM: there is no instruction for that.
+
+        Nor may one be made up: LLVM 22 loses the value of a phi that a `bitcast` between equal types joins to another phi
+        (`optimizePhiType` in CodeGenPrepare, levels 1 to 3).
+        """
+        return self.code in ("convert", "bitcast") and llvm(self.type) == llvm(self.source)
+
 
 def instruction(t: Text, e: Expression) -> str:
     """The right-hand side of the operation's value; what comes before it is written."""
@@ -54,9 +63,9 @@ def collective(t: Text, code: str, kind: str, value: str) -> str:
     else:
         name = "add" if what == "sum" else f"{'u' if is_unsigned(kind) else 's'}{what}"
     full, first = f"@llvm.vector.reduce.{name}.v{t.width}{mangled(kind)}", llvm(kind)
-    given = [f"{first} {t.constant(-0.0, kind, False)}", f"{shape} {value}"] if name == "fadd" else [f"{shape} {value}"]
-    t.declared.add(f"declare {first} {full}({', '.join(x.rsplit(' ', 1)[0] for x in given)})")
-    return f"call {first} {full}({', '.join(given)})"
+    given = [(first, t.constant(-0.0, kind, False)), (shape, value)] if name == "fadd" else [(shape, value)]
+    t.declared.add(f"declare {first} {full}({', '.join(kind for kind, _ in given)})")
+    return f"call {first} {full}({', '.join(f'{kind} {x}' for kind, x in given)})"
 
 
 def _comparison(code: str, kind: str, shape: str, names: list[str]) -> str:
@@ -92,16 +101,16 @@ def _extreme(t: Text, e: Expression) -> str:
     """The larger or the smaller; NaN if either is, and -0 below 0 [IEEE 754-2019, maximum and minimum]."""
     shape, code = t.shape(e.type, e.wide), {"max": "gt", "min": "lt"}[e.code]
     a, b = e.names
-    either = lambda a, b: t.assign(_select(t, e, t.assign(_comparison(code, e.type, shape, [a, b])), a, b))
+    either = lambda a, b: _select(t, e, t.assign(_comparison(code, e.type, shape, [a, b])), a, b)
     if e.type not in FLOATS:
-        return _select(t, e, t.assign(_comparison(code, e.type, shape, [a, b])), a, b)
+        return either(a, b)
     for known, a, b in zip(e.known, e.names, e.names[::-1], strict=True):
         if known is not None and known == known:  # the number first: a comparison with NaN, or of zeros, leaves the other
             return _beside_zero(t, e, either(a, b), known)
     # the second where neither is beyond the other: of zeros, and of a number and NaN, each once
     bits = "i32" if e.type == "float" else "i64"
     whole = t.shape(bits, e.wide)
-    one, two = (t.assign(f"bitcast {shape} {x} to {whole}") for x in (either(a, b), either(b, a)))
+    one, two = (t.assign(f"bitcast {shape} {t.assign(x)} to {whole}") for x in (either(a, b), either(b, a)))
     found = t.assign(f"or {whole} {one}, {two}")
     if e.code == "max":  # the sign is both's, all other bits are either's
         both = t.assign(f"and {whole} {one}, {two}")
@@ -110,13 +119,12 @@ def _extreme(t: Text, e: Expression) -> str:
     return f"bitcast {whole} {found} to {shape}"
 
 
-def _beside_zero(t: Text, e: Expression, value: str, known: Any) -> str:
-    """The extreme of a number that is `known`, which may have become the other zero: that of 0 is at least 0."""
-    shape = t.shape(e.type, e.wide)
+def _beside_zero(t: Text, e: Expression, found: str, known: Any) -> str:
+    """The extreme of a number that is `known`, `found` but that it may have become the other zero: that of 0 is at least 0."""
     if known != 0 or np.signbit(known) != (e.code == "min"):
-        return t.same(shape, value)
-    size = t.intrinsic("fabs", e.type, e.wide, [value])
-    return size if e.code == "max" else f"fneg {shape} {t.assign(size)}"
+        return found
+    size = t.intrinsic("fabs", e.type, e.wide, [t.assign(found)])
+    return size if e.code == "max" else f"fneg {t.shape(e.type, e.wide)} {t.assign(size)}"
 
 
 def _convert(t: Text, e: Expression) -> str:
@@ -127,8 +135,6 @@ def _convert(t: Text, e: Expression) -> str:
         return _saturated(t, e)
     elif e.type in FLOATS:
         code = "uitofp" if is_unsigned(source) else "sitofp"
-    elif BITS[source] == BITS[e.type]:
-        code = "bitcast"
     elif BITS[source] > BITS[e.type]:
         code = "trunc"
     else:

@@ -19,7 +19,7 @@ from jaxik.spmd.trace import Traced, ordering, replaced, trace
 P = ParamSpec("P")
 R = TypeVar("R")
 Order = Callable[..., Any]
-KEPT = 256  # jaxprs of one function, of robots and shapes; their machine code is kept for good
+TRACES = 256  # jaxprs of one function, of robots and shapes; their machine code is kept for good
 
 
 class _Known(dict[Any, tuple[Traced, Any, list[Any]]]):
@@ -30,7 +30,7 @@ class _Known(dict[Any, tuple[Traced, Any, list[Any]]]):
 
     def keep(self, key: Any, found: tuple[Traced, Any, list[Any]]) -> None:
         """Adds a trace, instead of the oldest where there are many."""
-        if len(self) >= KEPT:
+        if len(self) >= TRACES:
             with contextlib.suppress(RuntimeError):  # of another thread that does the same
                 self.pop(next(iter(self)), None)
         self[key] = found

@@ -151,15 +151,19 @@ class Emitter:
             self.memory.store(op.args, self.taking_part)
         elif op.code == "lane":
             numbers = ", ".join(f"i32 {k}" for k in range(self.text.width))
-            self.values.define(v, self.text.same(self.text.vector("i32"), f"<{numbers}>"))
+            self.values.equal(v, f"<{numbers}>")
         elif op.code.startswith("team"):
-            if self.live.is_parted(v):
+            if self.live.is_partial(v):
                 raise Unsupported("a collective of a team where its lanes part")
             self.values.define(
                 v, collective(self.text, op.code, self.values.kind(op.args[0]), self.values.name(op.args[0], True))
             )
         elif op.code != "result":  # named by the loop or branch that it comes from
-            self.values.define(v, instruction(self.text, self._expression(op, self.values.is_wide(v))))
+            expression = self._expression(op, self.values.is_wide(v))
+            if expression.is_same:
+                self.values.equal(v, expression.names[0])
+            else:
+                self.values.define(v, instruction(self.text, expression))
 
     def _expression(self, op: Op, wide: bool) -> Expression:
         names = [self.values.name(a, wide) for a in op.args]
@@ -171,19 +175,18 @@ class Emitter:
 
     def _loop(self, v: int, loop: Loop) -> None:
         t, values = self.text, self.values
-        kept = [i for i, p in enumerate(loop.params) if p in self.live.needed]
+        carried = [i for i, p in enumerate(loop.params) if p in self.live.needed]
         before, head, body, end = t.block, t.label("head"), t.label("turn"), t.label("end")
         t.line(f"br label %{head}")
         t.start(head)
         phis = len(t.lines)  # their last operands are known after the body
-        for name in (*(loop.params[i] for i in kept), *loop.turn):
+        for name in (*(loop.params[i] for i in carried), *loop.turn):
             values.broadcast(name)
-        running = self._test(v, loop, body, end) if loop.test is not None else None
         outside = self.taking_part
-        self._part(running)
+        running = self._test(v, loop, body, end) if loop.test is not None else None
         self._operations(loop.body)
         self.taking_part = outside
-        again = {i: self._carried(loop, i, running) for i in kept}
+        again = {i: self._carried(loop, i, running) for i in carried}
         last, lines = t.block, []
         for i, new in again.items():
             p = loop.params[i]
@@ -199,16 +202,17 @@ class Emitter:
         t.start(end)
         for i in sorted(self.live.results.get(v, ())):
             p = loop.params[i]
-            values.define(self.live.result(v, i), t.same(values.shape(p), again[i] if loop.turn else f"%v{p}"))
+            values.equal(self.live.result(v, i), again[i] if loop.turn else f"%v{p}")
 
     def _test(self, v: int, loop: Loop, body: str, end: str) -> str | None:
-        """Leaves the loop where no lane goes on; the lanes that do, if they are not all or none."""
+        """Leaves the loop where no lane goes on; the lanes that do, if they are not all or none. One that takes no part around
+        the loop has numbers that nobody meant, by which it might never end."""
         assert loop.test is not None
         t, (before, holds) = self.text, loop.test
         self._operations(before)
         running = None
         if self.values.is_wide(holds):
-            running = t.assign(f"and {t.vector('i1')} %active{v}, {self.values.name(holds, True)}")
+            running = self._take_part(t.assign(f"and {t.vector('i1')} %active{v}, {self.values.name(holds, True)}"))
             more = self._any(running)
         else:
             more = self.values.name(holds, False)
@@ -233,11 +237,12 @@ class Emitter:
         t.line(f"br i1 {more}, label %{head}, label %{end}")
         return f"  %v{turn} = phi i32 [ 0, %{before} ], [ {step}, %{last} ]"
 
-    def _part(self, truths: str | None) -> None:
-        """Only those lanes take part from here on for which it holds, of those that do."""
-        if truths is not None and self.taking_part is not None:
+    def _take_part(self, truths: str) -> str:
+        """Only those lanes take part from here on for which it holds, of those that do; whether each does."""
+        if self.taking_part is not None:
             truths = self.text.assign(f"and {self.text.vector('i1')} {truths}, {self.taking_part}")
-        self.taking_part = truths or self.taking_part
+        self.taking_part = truths
+        return truths
 
     def _any(self, truths: str) -> str:
         """Whether it holds in some lane."""
@@ -256,9 +261,8 @@ class Emitter:
         found = []
         for body, values, taken in ((branch.yes, branch.yes_values, holds), (branch.no, branch.no_values, fails)):
             outside = self.taking_part
-            self._part(taken if wide else None)
             gives = {r: values[i] for i, r in results.items()}
-            found.append(self._side(body, gives, self._any(taken) if wide else taken))
+            found.append(self._side(body, gives, self._any(self._take_part(taken)) if wide else taken))
             self.taking_part = outside
         yes, no = found
         for result, a, b in zip(results.values(), yes, no, strict=True):

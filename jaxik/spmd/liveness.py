@@ -85,7 +85,7 @@ class Liveness:
     def _spread(self) -> bool:
         """Marks what varies since what it is made of does; whether there was anything new: a loop carries it back."""
         before = len(self.varying)
-        self.common = {k for k, stores in self._stores.items() if self.program.team and not any(map(self._parts, stores))}
+        self.common = {k for k, stores in self._stores.items() if self.program.team and not any(map(self._differs, stores))}
         for v in sorted(self.needed - self.varying):
             if self._varies(v):
                 self.varying.add(v)
@@ -116,14 +116,14 @@ class Liveness:
             return split or any(x in varying for x in self._sources(whole, i))
         return any(a in varying for a in args)
 
-    def _parts(self, store: int) -> bool:
+    def _differs(self, store: int) -> bool:
         """Whether lanes write different numbers or to different places, or some of them do not write."""
         args, v = self.program.ops[store].args, store
         if args.at in self.varying or args.value in self.varying:
             return True
-        return self.is_parted(v)
+        return self.is_partial(v)
 
-    def is_parted(self, v: int) -> bool:
+    def is_partial(self, v: int) -> bool:
         """Whether some lanes may not take part in an operation: it stands in a loop or branch that varies."""
         while v in self._around:
             v = self._around[v]

@@ -50,7 +50,7 @@ def target_machine(quick: bool = False) -> Any:
 
 
 _lock = threading.Lock()
-_kept: list[Any] = []  # compiled code lives as long as the process: an executable may call it at any time
+_libraries: list[Any] = []  # compiled code lives as long as the process: an executable may call it at any time
 _tries = itertools.count()
 
 
@@ -99,5 +99,5 @@ def linked(image: bytes, *names: str) -> list[int]:
         builder.export_symbol(name)
     with _lock:
         library = builder.link(_jit(), f"{names[0]}_{next(_tries)}")  # one that failed keeps its name
-        _kept.append(library)
+        _libraries.append(library)
         return [int(library[name]) for name in names]

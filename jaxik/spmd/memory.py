@@ -20,6 +20,7 @@ class Values:
 
     def __init__(self, program: Program, live: Liveness, text: Text):
         self.program, self.live, self.text = program, live, text
+        self._others: dict[int, str] = {}  # value -> the name of what it is the same as
         self._broadcast = self._asked_as_vectors()
 
     def kind(self, v: int) -> str:
@@ -35,16 +36,21 @@ class Values:
         """The value as an operand of an operation on vectors, or on scalars."""
         if v in self.program.constant:
             return self.text.constant(self.program.constant[v], self.kind(v), wide)
-        return f"%s{v}" if wide and not self.is_wide(v) else f"%v{v}"
+        return f"%s{v}" if wide and not self.is_wide(v) else self._others.get(v, f"%v{v}")
 
     def define(self, v: int, text: str) -> None:
         self.text.line(f"%v{v} = {text}")
         self.broadcast(v)
 
+    def equal(self, v: int, name: str) -> None:
+        """A value that has a name already: no instruction, which LLVM would not always drop."""
+        self._others[v] = name
+        self.broadcast(v)
+
     def broadcast(self, v: int) -> None:
         """A vector of a scalar that has a name now, if one is asked for."""
         if v in self._broadcast and not self.is_wide(v):
-            self.text.broadcast(f"%v{v}", self.kind(v), f"%s{v}")
+            self.text.broadcast(self.name(v, False), self.kind(v), f"%s{v}")
 
     def _asked_as_vectors(self) -> set[int]:
         found: set[int] = set()
@@ -81,26 +87,29 @@ class Accesses:
         self._columns: dict[tuple[int, int], list[str]] = {}  # (operand, first column) -> the block of columns
 
     def load(self, v: int, load: Load) -> None:
-        t, memory, kind = self.text, load.memory, load.memory.type
-        index_varies = load.at in self.live.varying
+        t, memory, kind = self.text, load.memory, stored(load.memory.type)
         beside = self._beside(load)
         if self.live.is_own(load) and load.at is None:
-            t.line(f"%v{v} = " + t.as_truth(self._column(memory, load.offset), kind, True))
+            column = self._column(memory, load.offset)
+            self.values.define(v, t.as_truth(column, True)) if memory.type == "i1" else self.values.equal(v, column)
         elif beside is not None:
-            shape, memory_kind = t.vector(stored(kind)), stored(kind)
-            read = f"load {shape}, ptr {self._address(load._replace(at=None), memory_kind, beside)}, align {BYTES[kind]}"
-            t.line(f"%v{v} = " + t.as_truth(t.assign(read), kind, True))
-        elif (self._apart(memory) and not index_varies) or not self.values.is_wide(v):
+            place = self._address(load._replace(at=None), kind, beside)
+            self._read(v, f"load {t.vector(kind)}, ptr {place}, align {BYTES[kind]}", True)
+        elif (self._apart(memory) and load.at not in self.live.varying) or not self.values.is_wide(v):
             wide = self._apart(memory)
-            shape = t.shape(stored(kind), wide)
-            read = f"load {shape}, ptr {self._address(load, shape)}, align {t.align(kind) if wide else BYTES[kind]}"
-            self.values.define(v, t.as_truth(t.assign(read), kind, wide) if kind == "i1" else read)
+            shape, align = t.shape(kind, wide), t.align(kind) if wide else BYTES[kind]
+            self._read(v, f"load {shape}, ptr {self._address(load, shape)}, align {align}", wide)
         else:
-            t.line(f"%v{v} = " + t.as_truth(t.assign(self._masked("gather", load)), kind, True))
+            self._read(v, self._masked("gather", load), True)
+
+    def _read(self, v: int, text: str, wide: bool) -> None:
+        """A value that is as it is `stored` by the instruction that reads it."""
+        truth = self.values.kind(v) == "i1"
+        self.values.define(v, self.text.as_truth(self.text.assign(text), wide) if truth else text)
 
     def store(self, store: Store, taking_part: str | None) -> None:
-        """Writes what is `kept` from turn to turn in those lanes alone that take part, if not all do; other scratch is read by
-        nobody but in the turn that wrote it."""
+        """Writes to kept memory in those lanes alone that take part, if not all do; other scratch is read by nobody but in the
+        turn that wrote it."""
         t, kind = self.text, store.memory.type
         wide = self._apart(store.memory)
         shape, mask = t.shape(stored(kind), wide), taking_part if store.kept else None

@@ -63,8 +63,8 @@ class Load(NamedTuple):
 
 
 class Store(NamedTuple):
-    """Arguments of a `store` of a `value`, addressed as a `load` is. What is `kept` from turn to turn of a loop is written by
-    those lanes alone that take part."""
+    """Arguments of a `store` of a `value`, addressed as a `load` is. What is `kept` in memory from turn to turn of a loop is
+    written by those lanes alone that take part."""
 
     memory: Memory
     offset: int

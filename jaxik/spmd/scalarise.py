@@ -99,7 +99,7 @@ class Scalariser:
         # what is copied to memory, and the block whose lanes have written it: another block may not have run
         self.spilled: dict[int, tuple[Array, Array, Block]] = {}
         self.in_team = False
-        self.kept: dict[int, int] = {}  # scratch that is written in place, and the value after which it is as it is now
+        self.latest: dict[int, int] = {}  # kept memory, which is written in place: the value after which it is as it is now
 
     def run(self, jaxpr: Jaxpr, consts: Sequence[Array], args: Sequence[Array]) -> list[Array]:
         env: dict[Any, Array] = {}
@@ -229,37 +229,37 @@ class Scalariser:
             for i, v in enumerate(values):
                 after = p.store(memory, i, None, v, level)
             spilled = Array(places, array.type, memory, after)
-        self.spilled[id(array)] = array, spilled, p.blocks[level]  # the array is kept, so that its id is
+        self.spilled[id(array)] = array, spilled, p.blocks[level]  # with the array, whose id is no other's then
         return spilled
 
     # ----------------------------------------------------------------------------------------------------------------
     # Arrays that a loop keeps in memory
 
     def is_kept(self, array: Array) -> bool:
-        """Whether it is memory that is written in place, or a part of it."""
-        return array.memory is not None and array.memory.kind == "scratch" and array.memory.number in self.kept
+        """Whether it is kept memory, which is written in place, or a part of it."""
+        return array.memory is not None and array.memory.kind == "scratch" and array.memory.number in self.latest
 
     def current(self, array: Array) -> None:
         """Raises `Unsupported` for what an array was before it was written to."""
-        if self.is_kept(array) and self.kept[array.memory.number] != array.after:  # type: ignore[union-attr]
+        if self.is_kept(array) and self.latest[array.memory.number] != array.after:  # type: ignore[union-attr]
             raise Unsupported("an array in a loop that is read as it was before it was written to")
 
     def whole(self, array: Array) -> bool:
-        """Whether it is all of memory that is written in place, in order, and as it is now."""
-        if not self.is_kept(array) or self.kept[array.memory.number] != array.after:  # type: ignore[union-attr]
+        """Whether it is all of kept memory, in order, and as it is now."""
+        if not self.is_kept(array) or self.latest[array.memory.number] != array.after:  # type: ignore[union-attr]
             return False
         return array.at.size == array.memory.size and np.array_equal(array.at.ravel(), np.arange(array.at.size))  # type: ignore[union-attr]
 
     def keep(self, array: Array) -> Array:
-        """The same numbers in memory that is written in place."""
+        """The same numbers in kept memory."""
         if self.whole(array):
             return array
         memory = self.program.room(array.type, array.at.size)
-        self.kept[memory.number] = 0
+        self.latest[memory.number] = 0
         return self.put(memory, array)
 
     def put(self, memory: Memory, array: Array) -> Array:
-        """Writes an array to memory that is kept: one number over and over, what lies in a row, or value by value."""
+        """Writes an array to kept memory: one number over and over, what lies in a row, or value by value."""
         p, size, here = self.program, array.at.size, np.arange(array.at.size).reshape(array.shape)
         flat, source, lies = array.at.ravel(), array.memory, None
         if source is None:
@@ -270,7 +270,7 @@ class Scalariser:
             lies = lambda i: p.load(source, int(flat[0]), i, array.after)
         if lies is None or size <= CHOICES:
             for k, v in enumerate(self.values(array).ravel().tolist()):
-                self.kept[memory.number] = p.store(memory, k, None, v, kept=True)
+                self.latest[memory.number] = p.store(memory, k, None, v, kept=True)
         else:
 
             def turn(flat: list[int]) -> list[int]:
@@ -278,18 +278,18 @@ class Scalariser:
                 return []
 
             p.loop([], size, turn)
-            self.kept[memory.number] = len(p.ops) - 1
-        return Array(here, array.type, memory, self.kept[memory.number])
+            self.latest[memory.number] = len(p.ops) - 1
+        return Array(here, array.type, memory, self.latest[memory.number])
 
-    def seen(self, array: Array) -> Array:
-        """Kept memory as a loop's turn, or what comes after it, finds it: nothing of it may be read before."""
+    def renewed(self, array: Array) -> Array:
+        """Kept memory as a loop's turn, or what comes after a loop, finds it: nothing of it may be read before."""
         assert array.memory is not None
-        return dataclasses.replace(array, after=self.written(array.memory.number))
+        return dataclasses.replace(array, after=self.renew(array.memory.number))
 
-    def written(self, number: int) -> int:
+    def renew(self, number: int) -> int:
         """The value after which kept memory is as a block leaves it; no instruction gives it."""
-        self.kept[number] = self.program.param("i1")
-        return self.kept[number]
+        self.latest[number] = self.program.param("i1")
+        return self.latest[number]
 
     def _settled(self, array: Array) -> Array:
         """A part of kept memory is read when it is taken: later it may be another."""

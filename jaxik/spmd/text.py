@@ -132,10 +132,6 @@ class Text(Lines):
         self.declared.add(f"declare {shape} {full}({', '.join([shape] * len(args))})")
         return f"call {shape} {full}({', '.join(f'{shape} {a}' for a in args)})"
 
-    def same(self, shape: str, name: str) -> str:
-        """Another name for a value; LLVM drops it."""
-        return f"bitcast {shape} {name} to {shape}"
-
     def shuffle(self, a: str, b: str, size: int, kind: str, picks: Sequence[int]) -> str:
         """Entries of two vectors of `size` side by side."""
         mask = ", ".join(f"i32 {k}" for k in picks)
@@ -147,10 +143,9 @@ class Text(Lines):
         one = self.assign(f"insertelement {shape} poison, {llvm(kind)} {value}, i32 0")
         self.line(f"{name} = shufflevector {shape} {one}, {shape} poison, <{self.width} x i32> zeroinitializer")
 
-    def as_truth(self, value: str, kind: str, wide: bool) -> str:
-        """A stored number as a value."""
-        shape = self.shape(stored(kind), wide)
-        return f"icmp ne {shape} {value}, {self.zero('i8', wide)}" if kind == "i1" else self.same(shape, value)
+    def as_truth(self, value: str, wide: bool) -> str:
+        """A stored truth as a value."""
+        return f"icmp ne {self.shape('i8', wide)} {value}, {self.zero('i8', wide)}"
 
     def as_stored(self, value: str, kind: str, wide: bool = True) -> str:
         """A value as it is stored."""

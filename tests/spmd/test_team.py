@@ -1,5 +1,6 @@
 """Lanes that work together on one row, and arrays that a loop keeps in memory: as `vmap` and XLA have them."""
 
+import re
 import warnings
 
 import jax
@@ -10,7 +11,8 @@ from jax import lax
 from numpy.testing import assert_allclose, assert_array_equal
 
 from jaxik import spmd
-from jaxik.spmd import TEAM, HostKernel, kernel, team
+from jaxik.spmd import TEAM, HostKernel, call, kernel, team
+from jaxik.spmd.trace import trace
 
 RNG = np.random.default_rng(0)
 
@@ -48,6 +50,14 @@ def test_collectives_speak_to_all_lanes():
     assert_allclose(found[0][1], values.max(1), rtol=1e-6)
     assert_array_equal(found[3], True)
     assert_array_equal(found[4], False)
+
+
+def test_collectives_of_what_is_known():
+    def lane(x):
+        of = lambda known: (lax.psum(known, TEAM), lax.pmax(known, TEAM), lax.pmin(known, TEAM))
+        return of(jnp.int32(3) + 0 * x.astype(jnp.int32)), of(jnp.where(False, x, 2.5)), of(jnp.where(x == x, 4, 5))
+
+    alike(lambda x: team(lane)(x), jnp.arange(5.0))
 
 
 def test_nan_is_the_least_and_the_largest():
@@ -92,6 +102,35 @@ def test_loops_and_branches_by_lanes_and_by_all():
     alike(team(lane), np.linspace(0.3, 2.0, 19, dtype=np.float32), rtol=1e-5)
 
 
+def test_nested_loops_that_all_lanes_share(monkeypatch):
+    """The outer loop carries what the inner one gives, in one number for all lanes. LLVM's good code lost it where the
+    text had a `bitcast` between equal types; there is none."""
+    monkeypatch.setattr(call, "QUICK", 30_000)  # as users have it
+
+    def nested(n, x, numbers):
+        y = jnp.clip(numbers[22], -3, 3)
+        inner = lambda x: lax.while_loop(lambda s: s[0] < n % 4, lambda s: (s[0] + 1, y), (0, x))[1]
+        return lax.while_loop(lambda s: s[0] < 3 + n % 3, lambda s: (s[0] + 1, inner(s[1])), (0, x))[1]
+
+    n, x, numbers = np.arange(40), np.ones(40, np.float32), np.linspace(-2.0, 2.0, 300, dtype=np.float32)
+    found = alike(team(nested), n, x, numbers, in_axes=(0, 0, None))
+    assert_allclose(found, np.where(n % 4 == 0, 1.0, numbers[22]))
+    alike(lambda n, x, numbers, z: (nested(n, x, numbers), z), np.int32(5), x[0], numbers, x, in_axes=(None, None, None, 0))
+
+
+def test_no_instruction_gives_a_value_its_own_type():
+    def every(n, x, table):
+        bits = lax.bitcast_convert_type(n, jnp.uint32).astype(jnp.int32)  # one that LLVM has for both
+        best = jnp.maximum(x, 2.0) + table[n] + table[lax.axis_index(TEAM)]
+        return lax.fori_loop(0, 99, lambda i, s: jnp.sin(s + lax.pmax(best, TEAM)), x) + bits
+
+    traced = trace(team(every), [np.int32(3), np.float32(1.0), np.ones(300, np.float32)])[0]
+    text = call.plan(traced, (False, False, True), "every").text
+    casts = re.findall(r"bitcast (<[^>]*>|\S+) \S+ to (<[^>]*>|\S+)", text)
+    assert casts
+    assert [(a, b) for a, b in casts if a == b] == []
+
+
 def test_a_collective_where_lanes_part_goes_to_xla():
     def lane(x):
         me = lax.axis_index(TEAM)
@@ -126,6 +165,31 @@ def test_a_table_is_written_in_place():
         return lax.while_loop(lambda state: state[0] < n, turn, (0, jnp.arange(400.0)))[1]
 
     alike(walked, 5 * np.arange(37), rtol=1e-5)
+
+
+def test_lanes_that_take_no_part_do_not_turn_loops_for_ever():
+    """A loop ends by what it writes; lanes write nothing in a branch that they do not take, or once an outer loop is done, and
+    what they would compute there need not end: 5, 3, 1, -1, ... never is 0."""
+
+    def filled(table, n):
+        return lax.while_loop(lambda s: s[n] < 3.0, lambda s: s.at[n].add(1.0), table)
+
+    def in_a_branch(n):
+        turn = lambda i, s: lax.cond((i + n) % 3 == 0, filled, lambda s, n: s.at[2].set(jnp.sin(1.0 * i)), s, n)
+        return lax.fori_loop(0, 5, turn, jnp.zeros(300))
+
+    def in_a_loop(n):
+        again = lambda s: (s[0] + 1, filled(s[1].at[n].set(0.0), n))
+        return lax.while_loop(lambda s: s[0] < n, again, (0, jnp.ones(300)))[1]
+
+    def without_memory(n):
+        halves = lambda: lax.while_loop(lambda s: s[0] != 0, lambda s: (s[0] - 2, s[1] + jnp.sin(0.1 * s[0])), (n, 0.0))[1]
+        return lax.cond(n % 2 == 0, halves, lambda: 0.5)
+
+    for function in (in_a_branch, in_a_loop):
+        alike(function, np.arange(20))
+    found = jax.jit(jax.vmap(kernel(without_memory)))(np.arange(20))  # XLA itself computes both sides, and goes on for ever
+    assert_allclose(found, [0.5 if n % 2 else np.sin(0.1 * np.arange(n, 0, -2)).sum() for n in range(20)], rtol=1e-5)
 
 
 def test_loops_in_loops_write_to_one_table():

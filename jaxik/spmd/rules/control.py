@@ -88,30 +88,30 @@ class _Sides:
     of them may have written."""
 
     def __init__(self, s: Scalariser, outputs: Sequence[Any]):
-        self.s, self.outputs, self.before, self.after = s, outputs, dict(s.kept), dict(s.kept)
+        self.s, self.outputs, self.before, self.after = s, outputs, dict(s.latest), dict(s.latest)
         self.kept: dict[int, Array] | None = None
 
     def flattened(self, side: Callable[[], list[Array]]) -> list[int]:
         """The values of a side; each finds the memory as it was."""
         s = self.s
-        s.kept = dict(self.before)
+        s.latest = dict(self.before)
         found = side()
         kept = {i: x for i, x in enumerate(found) if s.is_kept(x) and x.memory.number in self.before and s.whole(x)}  # type: ignore[union-attr]
         self.kept = kept if self.kept is None else self.kept
         if {i: x.memory for i, x in kept.items()} != {i: x.memory for i, x in self.kept.items()}:
             raise Unsupported("a branch that hands back another array than the one it writes to")
-        self.after |= {k: s.kept[k] for k in self.before if s.kept[k] != self.before[k]}
+        self.after |= {k: s.latest[k] for k in self.before if s.latest[k] != self.before[k]}
         return [v for i, x in enumerate(found) if i not in kept for v in s.values(x).ravel().tolist()]
 
     def arrays(self, flat: Sequence[int]) -> list[Array]:
         s, kept = self.s, self.kept or {}
-        s.kept = dict(self.before)
+        s.latest = dict(self.before)
         for number, after in self.after.items():
             if after != self.before[number]:
-                s.written(number)
+                s.renew(number)
         flowing = [v.aval for i, v in enumerate(self.outputs) if i not in kept]
         others = iter(unflattened(flat, [a.shape for a in flowing], [type_of(a) for a in flowing]))
-        as_now = lambda x: dataclasses.replace(x, after=s.kept[x.memory.number])
+        as_now = lambda x: dataclasses.replace(x, after=s.latest[x.memory.number])
         return [as_now(kept[i]) if i in kept else next(others) for i in range(len(self.outputs))]
 
 
@@ -159,10 +159,10 @@ class _Carried:
 
     def arrays(self, s: Scalariser, flat: Sequence[int]) -> list[Array]:
         flowing = iter(unflattened(flat, self.shapes, self.kinds))
-        seen = {i: s.seen(x) for i, x in self.kept.items()}
-        self.before = dict(s.kept)
+        kept = {i: s.renewed(x) for i, x in self.kept.items()}
+        self.before = dict(s.latest)
         return [
-            seen[i] if i in seen else next(flowing) if f else x
+            kept[i] if i in kept else next(flowing) if f else x
             for i, (x, f) in enumerate(zip(self.init, self.flows, strict=True))
         ]
 
@@ -170,7 +170,7 @@ class _Carried:
         """Raises `Unsupported` where a turn has written to memory, `but` that of carried arrays: the next would find it
         so, and not as it was before the loop."""
         own = {x.memory.number for i, x in self.kept.items() if i in but and x.memory is not None}
-        if any(s.kept[k] != after for k, after in self.before.items() if k not in own):
+        if any(s.latest[k] != after for k, after in self.before.items() if k not in own):
             raise Unsupported("a loop that writes to an array that it does not carry, or in its test")
 
     def flattened(self, s: Scalariser, arrays: Sequence[Array]) -> list[int]:

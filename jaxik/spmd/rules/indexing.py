@@ -85,9 +85,9 @@ def _pad(s: Scalariser, eqn: Any, x: Array, value: Array) -> Array:
     into, out_of = [], []
     for (low, _, inside), n, size in zip(eqn.params["padding_config"], x.shape, full.shape, strict=True):
         places = low + np.arange(n) * (inside + 1)
-        kept = (places >= 0) & (places < size)
-        into.append(places[kept])
-        out_of.append(np.flatnonzero(kept))
+        inner = (places >= 0) & (places < size)
+        into.append(places[inner])
+        out_of.append(np.flatnonzero(inner))
     full[np.ix_(*into)] = source[np.ix_(*out_of)]
     return Array(full, x.type)
 
@@ -127,13 +127,13 @@ def _updated(s: Scalariser, x: Array, spots: Sequence[Any], join: Callable[[int,
     """x with values joined in. A spot is an index an axis; the condition under which it is there at all, or None; and the
     value. Few places are chosen among by selections, many written to scratch."""
     if s.is_kept(x):
-        return _written(s, x, spots, join)
+        return _stored(s, x, spots, join)
     p, old = s.program, s.values(x).copy()
     choices = lambda spot: [
         range(i.shift, n) if isinstance(i, Computed) else (i,) for i, n in zip(spot, old.shape, strict=True)
     ]
     if sum(int(np.prod([len(c) for c in choices(spot)])) for spot, *_ in spots) > max(CHOICES * CHOICES, old.size):
-        return _written(s, x, spots, join)
+        return _stored(s, x, spots, join)
     for spot, holds, value in spots:
         for target in itertools.product(*choices(spot)):
             tests = [] if holds is None else [holds]
@@ -145,8 +145,8 @@ def _updated(s: Scalariser, x: Array, spots: Sequence[Any], join: Callable[[int,
     return Array(old, x.type)
 
 
-def _written(s: Scalariser, x: Array, spots: Sequence[Any], join: Callable[[int, int], int]) -> Array:
-    """x written to: where it is, if a loop keeps it in memory, or to a copy."""
+def _stored(s: Scalariser, x: Array, spots: Sequence[Any], join: Callable[[int, int], int]) -> Array:
+    """x stored with values joined in: where it is, if it is kept memory, or in a copy."""
     p, kept = s.program, s.is_kept(x)
     strides = [int(np.prod(x.shape[k + 1 :])) for k in range(len(x.shape))]
     if kept:
@@ -164,7 +164,7 @@ def _written(s: Scalariser, x: Array, spots: Sequence[Any], join: Callable[[int,
         new = new if holds is None else p.op("select", x.type, holds, new, before)
         after = p.store(memory, offset, index, new, kept=kept)
     if kept:
-        s.kept[memory.number] = after  # type: ignore[assignment]
+        s.latest[memory.number] = after  # type: ignore[assignment]
     return Array(np.arange(x.at.size).reshape(x.shape), x.type, memory, after)
 
 
@@ -174,7 +174,7 @@ def _gather(s: Scalariser, eqn: Any, x: Array, indices: Array) -> Array:
     d, sizes, mode = params["dimension_numbers"], params["slice_sizes"], params["mode"]
     starts = s.values(indices)
     batch_axes = [k for k in range(len(shape)) if k not in d.offset_dims]
-    kept = [k for k in range(len(sizes)) if k not in d.collapsed_slice_dims and k not in d.operand_batching_dims]
+    window_axes = [k for k in range(len(sizes)) if k not in d.collapsed_slice_dims and k not in d.operand_batching_dims]
     fill, value = mode == jax.lax.GatherScatterMode.FILL_OR_DROP, params["fill_value"]
     if value is None:  # as JAX has it: NaN, the smallest integer, the largest without a sign
         value = np.nan if x.type in FLOATS else limits(DTYPES[x.type])[x.type[0] == "u" or x.type == "i1"]
@@ -190,7 +190,7 @@ def _gather(s: Scalariser, eqn: Any, x: Array, indices: Array) -> Array:
             cache[batch] = start, holds
         start, holds = cache[batch]
         offset = [0] * len(sizes)
-        for k, axis in zip(d.offset_dims, kept, strict=True):
+        for k, axis in zip(d.offset_dims, window_axes, strict=True):
             offset[axis] = place[k]
         out[place] = s.entry(x, [f + o for f, o in zip(start, offset, strict=True)])
         if missing is not None and holds is not None:
@@ -212,9 +212,9 @@ def _scatter(s: Scalariser, eqn: Any, x: Array, indices: Array, updates: Array) 
         join = lambda before, value: value
     new, starts = s.values(updates), s.values(indices)
     scatter_axes = [k for k in range(new.ndim) if k not in d.update_window_dims]
-    kept = [k for k in range(len(x.shape)) if k not in d.inserted_window_dims and k not in d.operand_batching_dims]
+    window_axes = [k for k in range(len(x.shape)) if k not in d.inserted_window_dims and k not in d.operand_batching_dims]
     sizes = [1] * len(x.shape)
-    for k, axis in zip(d.update_window_dims, kept, strict=True):
+    for k, axis in zip(d.update_window_dims, window_axes, strict=True):
         sizes[axis] = new.shape[k]
     drops = mode in (jax.lax.GatherScatterMode.FILL_OR_DROP, None)
     spots = []
@@ -225,7 +225,7 @@ def _scatter(s: Scalariser, eqn: Any, x: Array, indices: Array, updates: Array) 
             at[axis] = batch[index_axis]
         known = p.constant.get(holds) if holds is not None else True
         if known is None or known:
-            for k, axis in zip(d.update_window_dims, kept, strict=True):
+            for k, axis in zip(d.update_window_dims, window_axes, strict=True):
                 at[axis] += place[k]
             spots.append((at, holds if known is None else None, int(new[place])))
     return _updated(s, x, spots, join)

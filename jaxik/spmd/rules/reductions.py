@@ -13,8 +13,8 @@ from jaxik.spmd.scalarise import Array, Scalariser, Unsupported, kind_of, rule
 
 def _along(x: np.ndarray, axes: Sequence[int]) -> np.ndarray:
     """The entries along `axes` as a last axis."""
-    kept = [k for k in range(x.ndim) if k not in axes]
-    return np.transpose(x, (*kept, *axes)).reshape(*(x.shape[k] for k in kept), int(np.prod([x.shape[k] for k in axes])))
+    others = [k for k in range(x.ndim) if k not in axes]
+    return np.transpose(x, (*others, *axes)).reshape(*(x.shape[k] for k in others), int(np.prod([x.shape[k] for k in axes])))
 
 
 def _neutral(name: str, dtype: np.dtype[Any]) -> Any:
