@@ -11,14 +11,14 @@ from jaxik.files.robot_toml import Table
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
 from jaxik.options import Options, anything, count, instance
-from jaxik.planning.limits import motion_limits
+from jaxik.planning.limits import limit_of, motion_limits
 from jaxik.planning.planner import PlanOptions
 from jaxik.sweeps.postures import Postures
 from jaxik.sweeps.robot_variants import Variant
 from jaxik.sweeps.targets import Targets
 
 Axes = tuple[tuple[str, tuple[Any, ...]], ...]
-COUNTS, PER_JOINT = ("rounds", "postures"), ("velocity", "acceleration")  # of `PlanOptions`; what the clock decides is not
+COUNTS, PER_JOINT = ("rounds", "postures"), ("velocity", "acceleration", "jerk")  # of `PlanOptions`, as `winding` is
 SEARCHED = ("slides", "refine", "ik")  # keys of a study that motions know nothing of
 
 
@@ -33,7 +33,7 @@ class Motions(Options, who="study"):
     def describe(self) -> dict[str, Any]:
         """All that the motions depend on, as JSON holds it."""
         kept = {name: getattr(self, name) for name in ("waypoints", "samples")}
-        plan = {name: getattr(self.plan, name) for name in (*COUNTS, *PER_JOINT)}
+        plan = {name: getattr(self.plan, name) for name in (*COUNTS, *PER_JOINT, "winding")}
         return {"starts": {name: list(q) for name, q in self.starts}} | kept | plan
 
 
@@ -83,13 +83,16 @@ def _starts(row: Table, robots: list[Robot]) -> tuple[tuple[str, tuple[float, ..
 
 
 def _limits(row: Table) -> dict[str, Any]:
-    """The limits of velocity and acceleration that are given, one number or one a joint."""
-    found = {}
+    """The limits that are given, one number or one a joint; and how far joints may wind."""
+    found: dict[str, Any] = {}
     for name in (name for name in PER_JOINT if name in row.content):
         each = isinstance(row.content[name], list | tuple | np.ndarray)
         values = row.finite(name, (-1,) if each else ())
         found[name] = tuple(values.tolist()) if each else float(values)
     row.asked.update(PER_JOINT)
+    if "winding" in row.content or "winding_deg" in row.content:
+        found["winding"] = float(row.finite("winding", (), unit="angle"))
+    row.asked.update(("winding", "winding_deg"))
     return found
 
 
@@ -99,6 +102,8 @@ def _checked(row: Table, robots: list[Robot], **options: Any) -> PlanOptions:
         plan = PlanOptions(**options)
         for robot in robots:
             motion_limits("motions", robot, plan.velocity, plan.acceleration, (robot.num_joints,))
+            if plan.jerk is not None:
+                limit_of("motions", "jerk", plan.jerk, (robot.num_joints,))
     except ValueError as error:
         raise row.fail(str(error), "change it") from None
     return plan
