@@ -160,7 +160,6 @@ def test_postures_of_a_file_from_their_own_or_one_start(arm, tmp_path):
     np.savez(tmp_path / "one.npz", goals=goals)
     limits = "velocity = [1.0, 2.0, 0.5]\njerk = 80\nwinding_deg = 360\n"
     table = "[motions]\n{}\nwaypoints = 0\n" + limits + "[targets]\nkind = 'postures'\npath = '{}.npz'\n"
-    same_limits = {"velocity": [1.0, 2.0, 0.5], "jerk": 80.0, "winding": 2.0 * np.pi}
     for name, start in (("own", ""), ("one", f"start = {HOME}")):
         (tmp_path / f"{name}.toml").write_text(table.format(start, name))
         content = read_toml(tmp_path / f"{name}.toml").content | {"robot": robot, "collision": {"scene": POLES}}
