@@ -90,7 +90,8 @@ class Peer:
 
 
 class Coal(Peer):
-    """Pinocchio's kinematics and coal's distances, C++ called from a Python loop, one configuration after the other.
+    """Pinocchio's kinematics and coal's distances, C++ called from a Python loop, one configuration after the other; of a URDF,
+    or of MJCF by its name.
 
     `broad` puts coal's dynamic tree of boxes before the pairs (Pinocchio's BroadPhaseManager), which `collides` may use.
     `posture` is where joints beside the chain stand [rad, m], the others at their neutral positions.
@@ -105,8 +106,13 @@ class Coal(Peer):
         posture: Mapping[str, float] | None = None,
     ):
         super().__init__()
-        self.model, self.broad = pin.buildModelFromUrdf(str(urdf)), broad
-        self.robot = pin.buildGeomFromUrdf(self.model, str(bare(urdf)), pin.GeometryType.COLLISION)
+        self.broad = broad
+        if urdf.suffix == ".xml":
+            self.model = pin.buildModelFromMJCF(str(urdf))
+            self.robot = pin.buildGeomFromMJCF(self.model, str(urdf), pin.GeometryType.COLLISION)
+        else:
+            self.model = pin.buildModelFromUrdf(str(urdf))
+            self.robot = pin.buildGeomFromUrdf(self.model, str(bare(urdf)), pin.GeometryType.COLLISION)
         self.robot.addAllCollisionPairs()
         name = [self.model.frames[body.parentFrame].name for body in self.robot.geometryObjects]
         left_out = {frozenset(pair) for pair in ignored(robot, srdf)}

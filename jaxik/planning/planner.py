@@ -47,7 +47,7 @@ class PlanOptions(Options, who="plan_motion"):
     )
     rounds: int = count(
         default=50_000,
-        words="edges that the search tries at most; after 20 and 50 % of them it looks closer, with finer samples",
+        words="edges that the search tries at most; after 20, 50 and 70 % of them it looks closer, with finer samples",
     )
     timeout: float | None = number(
         default=None,
@@ -306,7 +306,7 @@ def _straight(
     times = np.full(free.shape, np.inf)
     row, which = np.nonzero(free)
     begin, end = starts[row], goals[row, which]
-    proven = space.free_part(begin, end, LOOKS[0][0], among[row]) == 1.0  # most that are not are told so sooner than by a proof
+    proven = space.free_part(begin, end, LOOKS[0].step, among[row]) == 1.0  # most are told so sooner
     moved = proven & (begin != end).any(axis=1)
     proven[moved] = space.proven_closely(begin[moved], end[moved], among[row[moved]])
     times[row, which] = np.where(proven, limits.straight(end - begin), np.inf)

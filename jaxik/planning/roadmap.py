@@ -248,7 +248,7 @@ def _proven(
     free = np.zeros(len(edges), bool)
     for first in range(0, len(edges), BLOCK):
         start, end = graph.lines(edges[first : first + BLOCK])
-        left = np.flatnonzero(space.free_part(start, end, LOOKS[0][0]) == 1.0)
+        left = np.flatnonzero(space.free_part(start, end, LOOKS[0].step) == 1.0)
         close = (edges[first : first + BLOCK][left] < stations).any(axis=1)
         for some, proven in ((left[~close], space.proven), (left[close], space.proven_closely)):
             free[first + some] = proven(start[some], end[some])

@@ -77,7 +77,7 @@ class Queries:
         bent = [i for i, way in enumerate(ways) if way is not None and len(way) > 2]
         if bent:
             shorter, looked = shortened(
-                self.space, [ways[i] for i in bent], LOOKS[0][0], np.zeros(len(bent)), np.zeros(len(bent), int)
+                self.space, [ways[i] for i in bent], LOOKS[0].step, np.zeros(len(bent)), np.zeros(len(bent), int)
             )
             checked[bent] += looked
             for i, way in zip(bent, shorter, strict=True):
@@ -170,7 +170,7 @@ class Queries:
 
     def _free(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Whether straight lines (b, n) are proven free."""
-        found = self.space.free_part(start, end, LOOKS[0][0]) == 1.0
+        found = self.space.free_part(start, end, LOOKS[0].step) == 1.0
         moved = found & (start != end).any(axis=1)
         found[moved] = self.space.proven_closely(start[moved], end[moved])
         return found

@@ -27,7 +27,9 @@ from jaxik.spmd.trace import TEAM_SIZE
 
 BLOCKS, MOST = 64, 512  # of nodes that a tree has room for at first and at most, as many a block as a team has lanes
 SPARSE = 0.9  # of a step, from which on a node is not as good as another
-UNLIKE = 10  # times as many nodes as the other tree has, at which the smaller one, in the narrower place, grows alone
+UNLIKE = 10  # times as many nodes as the other tree has, at which the smaller one, in the narrower place, grows alone; sooner
+# by as many times as there are scales
+SMALLER = 4.0  # times, each scale of the samples about a node than the one before
 SAMPLING, JOINING, ON = 0, 1, 2  # what the next turn does: a tree grows to a sample, the other to what is new, and on to it
 
 
@@ -108,15 +110,15 @@ class Searches:
             parent = np.pad(parent, ((0, 0), (0, 0), (0, more * TEAM_SIZE)))
             self.found = self.found._replace(nodes=nodes, parent=parent)
 
-    def grow(self, rows: np.ndarray, turns: np.ndarray, step: float, cushion: np.ndarray) -> None:
+    def grow(self, rows: np.ndarray, turns: np.ndarray, step: float, cushion: np.ndarray, scales: int = 1) -> None:
         """Searches on in some rows for so many turns (b,), or fewer if the trees meet or have no room left, with a sample every
-        `step` [m] that keeps a `cushion` (b,) [m] beyond the margin."""
+        `step` [m] that keeps a `cushion` (b,) [m] beyond the margin, and targets about nodes on so many `scales`."""
         self._more_room()
         space, whole = self.space, len(rows) == len(self.starts)
         of = (lambda x: x) if whole else (lambda x: x[rows])
         before = of(self.found.turn)
         margin = (space.margin + cushion).astype(np.float32)
-        reach = *map(of, self.range), np.full(len(rows), step, np.float32), margin
+        reach = *map(of, self.range), np.full(len(rows), step, np.float32), margin, np.full(len(rows), scales, np.uint32)
         given = *map(of, self.found), of(self.offset), *reach, (before + turns).astype(np.int32)
         shared = (np.asarray(space.weights, np.float32),)
         found = Search(*space.world.run(searched, *given, among=of(self.among), shared=shared))
@@ -149,13 +151,14 @@ class Searches:
 
 
 class Reach(NamedTuple):
-    """Where samples are drawn, least and greatest (n,), how far apart those of an edge are [m], and by how much they keep away
-    from what is around [m]."""
+    """Where samples are drawn, least and greatest (n,), how far apart those of an edge are [m], by how much they keep away from
+    what is around [m], and how many `scales` there are of those that are drawn about a node."""
 
     lower: Any
     upper: Any
     step: Any
     margin: Any
+    scales: Any
 
 
 @in_world(len(Search._fields) + 2 + len(Reach._fields))
@@ -194,7 +197,7 @@ def _searched(robot: Robot, search: Search, offset: Any, reach: Any, end: Any, w
         s = lax.cond(grows, lambda s: _grown(s, own, new, base), lambda s: s, s)
         joined = ~sampling & free & arrives
         phase = jnp.where(sampling & grows, JOINING, jnp.where(~sampling & free & ~arrives, ON, SAMPLING)).astype(jnp.int32)
-        alone = (s.drawn % 4 != 0) & (jnp.min(s.count) * UNLIKE < jnp.max(s.count))
+        alone = (s.drawn % 4 != 0) & (jnp.min(s.count) * UNLIKE < jnp.max(s.count) * reach.scales.astype(jnp.int32))
         turns_to = jnp.where(alone, (s.count[1] < s.count[0]).astype(jnp.int32), 1 - s.tree)
         return s._replace(
             tree=jnp.where(joined | (phase != SAMPLING), s.tree, turns_to),
@@ -212,13 +215,14 @@ def _searched(robot: Robot, search: Search, offset: Any, reach: Any, end: Any, w
 
 def _sample(s: Search, tree: Any, offset: Any, reach: Reach) -> Any:
     """The next sample (n,) for a tree: by turns a point of the space, and one that lies about a node, drawn too, as the former
-    lie about the middle. The first spread a tree; the second let it out of a narrow place, where all that is far away has the
-    same few nodes nearest to it, and these are walled in."""
+    lie about the middle, or so much closer. The first spread a tree; the second let it out of a narrow place, where all that is
+    far away has the same few nodes nearest to it, and these are walled in; in a slit every long edge ends at once."""
     number = s.drawn.astype(jnp.uint32)
     share = (offset + number * _golden(len(offset)) >> 8).astype(reach.lower.dtype) * 2.0**-24
     node = (_mixed(number + offset[0]) % s.count[tree].astype(jnp.uint32)).astype(jnp.int32)
     point = reach.lower + share * (reach.upper - reach.lower)
-    moved = point + _node(s.nodes, tree, node) - 0.5 * (reach.lower + reach.upper)
+    scale = SMALLER ** -((number // 2) % reach.scales).astype(share.dtype)
+    moved = _node(s.nodes, tree, node) + scale * (point - 0.5 * (reach.lower + reach.upper))
     return jnp.where(number % 2 == 0, point, jnp.clip(moved, reach.lower, reach.upper))
 
 

@@ -20,8 +20,26 @@ from jaxik.planning.trajectory import JointPath
 from jaxik.planning.tree_search import Searches
 from jaxik.spmd.trace import TEAM_SIZE
 
-LOOKS = (0.05, 0.003), (0.025, 0.001), (0.0125, 0.0)  # steps of samples, and their cushion [m], one after another
-ROUNDS = 0.2, 0.5, 1.0  # of all, at which a search that has not arrived looks closer
+
+class Look(NamedTuple):
+    """How closely a search looks: samples every `step` [m] that keep a `cushion` [m], until so large a `share` of all rounds,
+    and targets about nodes on so many `scales`. A tree that does not become more than `growth` times as large in `patience`
+    rounds counts as walled in: a large one grows slowly, which is a reason to look closer, but at last none to give up."""
+
+    step: float
+    cushion: float
+    share: float
+    scales: int
+    growth: float
+    patience: int
+
+
+LOOKS = (
+    Look(0.05, 0.003, 0.2, 1, 1.1, 1024),
+    Look(0.025, 0.001, 0.5, 2, 1.1, 1024),
+    Look(0.0125, 0.0, 0.7, 3, 1.1, 512),
+    Look(0.003125, 0.0, 1.0, 5, 1.0, 512),
+)
 POINTS, AGAIN = 14, 3  # of a way, between which lines are tried, and how often at most
 BETTER = 0.95  # times as long as before, from which on it is not tried again
 SHARES = 0.5 ** np.arange(1.0, 6.0)  # of the shorter line at a corner, at which its bend begins and ends
@@ -29,7 +47,6 @@ CHORDS = 8
 CALL = 128  # rounds of the search between two looks at the clock
 TRIES = 8  # searches whose way could not be proven, before one looks closer
 TOGETHER = 64  # problems whose trees fit in the caches
-PATIENCE, SPREADS = 1024, 1.1  # rounds in which a tree becomes so many times as large, or it counts as walled in
 
 
 class Found(NamedTuple):
@@ -88,21 +105,21 @@ def _proven_ways(
     clock = Clock(None if seconds is None else seconds * len(starts), progress, searches)
     ways: list[np.ndarray | None] = [None] * len(starts)
     checked = np.zeros(len(starts), int)
-    for (step, most), share in zip(LOOKS, ROUNDS, strict=True):
+    for look in LOOKS:
         left = np.array([i for i, way in enumerate(ways) if way is None and not hopeless[i]], int)
-        limit = np.ceil(share * rounds).astype(int)
+        limit = np.ceil(look.share * rounds).astype(int)
         if not len(left):
             break
         cushion = np.zeros(len(starts))
-        cushion[left] = kept_at(space, [ends[i] for i in left], most, among[left])
+        cushion[left] = kept_at(space, [ends[i] for i in left], look.cushion, among[left])
         for _ in range(TRIES):
             if not len(left) or clock.over:
                 break
-            _searched(searches, left, step, cushion, limit, clock)
+            _searched(searches, left, look, cushion, limit, clock)
             left = left[searches.found.joined[left]]  # the others look closer
             if not len(left):
                 break
-            found, looked = shortened(space, [searches.way(i) for i in left], step, cushion[left], among[left])
+            found, looked = shortened(space, [searches.way(i) for i in left], look.step, cushion[left], among[left])
             checked[left] += looked
             for i, way in zip(left.tolist(), found, strict=True):
                 if way is None:
@@ -154,16 +171,16 @@ def kept_at(space: CollisionChecker, ends: Sequence[np.ndarray], most: float, am
     return np.max(tried * ~np.logical_or.reduceat(hit, first, axis=1), axis=0)
 
 
-def _searched(searches: Searches, rows: np.ndarray, step: float, cushion: np.ndarray, limit: np.ndarray, clock: Clock) -> None:
+def _searched(searches: Searches, rows: np.ndarray, look: Look, cushion: np.ndarray, limit: np.ndarray, clock: Clock) -> None:
     """Searches on in such rows until the trees of each meet, so many rounds are taken in all, the time is over, or a tree is
     walled in."""
     looked, before = searches.taken.copy(), searches.found.count.copy()
     while len(rows) and not clock.over:
-        searches.grow(rows, np.minimum(CALL, limit[rows] - searches.taken[rows]), step, cushion[rows])
+        searches.grow(rows, np.minimum(CALL, limit[rows] - searches.taken[rows]), look.step, cushion[rows], look.scales)
         clock.tick()
         found, taken = searches.found, searches.taken
-        judged = taken - looked >= PATIENCE
-        walled = judged & (found.count < SPREADS * before).any(axis=1)
+        judged = taken - looked >= look.patience
+        walled = judged & (found.count <= look.growth * before).any(axis=1)
         looked, before = np.where(judged, taken, looked), np.where(judged[:, None], found.count, before)
         ended = found.joined | walled | searches.full | (taken >= limit)
         rows = rows[~ended[rows]]

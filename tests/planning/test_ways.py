@@ -69,12 +69,12 @@ def test_the_search_is_that_of_plain_xla(arm):
     lower, upper = (x[None] for x in robot.finite_limits)
     search = tree_search.Searches(space, START[None], [GOAL[None]], lower, upper, 0, np.zeros(1, int))
     rows = np.arange(1)
-    reach = *search.range, np.full(1, 0.05, np.float32), np.zeros(1, np.float32)
+    reach = *search.range, np.full(1, 0.05, np.float32), np.zeros(1, np.float32), np.full(1, 3, np.uint32)
     fixed = space.world.around, space.world.body, np.asarray(space.weights, np.float32)
     given = *(x.copy() for x in search.found), search.offset, *reach, np.full(1, 15, np.int32)
     with jax.enable_x64(False):
         plain = tree_search.Search(*map(np.asarray, tree_search.searched(robot, False).by_xla(*given, *fixed)))
-    search.grow(rows, np.full(1, 15), 0.05, np.zeros(1))
+    search.grow(rows, np.full(1, 15), 0.05, np.zeros(1), scales=3)
     found = search.found
     assert found.turn.tolist() == plain.turn.tolist() == [15] and found.count.tolist() == plain.count.tolist()
     for tree, count in enumerate(found.count[0]):
@@ -102,3 +102,14 @@ def test_out_of_a_narrow_place(arm, seed):
     moved = plan_motion(robot, [0.0, 0.0, 0.0], [1.2, -0.5, 0.3], scene=walls, seed=seed)
     assert moved, moved.why
     assert coal.clearance(walls, moved.trajectory.sample(0.002).q).min() > -1e-5
+
+
+def test_a_slit_is_passed(arm):
+    """Balls of 80 mm through a gap of 84 mm: where edges of any length end at once. Coal says what is free."""
+    robot, coal = arm
+    gap = jaxik.make_scene(boxes=[[0.48, y, 0.0, 0.02, 1.0, 0.5] for y in (-0.542, 0.542)])
+    start = [1.5, 0.3, 0.2]
+    for seed in range(3):
+        moved = plan_motion(robot, start, np.zeros(3), scene=gap, seed=seed)
+        assert moved.success and moved.rounds > 0
+        assert coal.clearance(gap, moved.trajectory.sample(2e-3).q).min() >= -1e-6
