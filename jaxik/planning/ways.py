@@ -24,7 +24,7 @@ from jaxik.spmd.trace import TEAM_SIZE
 class Look(NamedTuple):
     """How closely a search looks: samples every `step` [m] that keep a `cushion` [m], until so large a `share` of all rounds,
     and targets about nodes on so many `scales`. A tree that does not become more than `growth` times as large in `patience`
-    rounds counts as walled in: a large one grows slowly, which is a reason to look closer, but at last none to give up."""
+    rounds counts as walled in: a large one grows slowly, which is a reason to look closer, hardly one to give up."""
 
     step: float
     cushion: float
@@ -38,7 +38,7 @@ LOOKS = (
     Look(0.05, 0.003, 0.2, 1, 1.1, 1024),
     Look(0.025, 0.001, 0.5, 2, 1.1, 1024),
     Look(0.0125, 0.0, 0.7, 3, 1.1, 512),
-    Look(0.003125, 0.0, 1.0, 5, 1.0, 512),
+    Look(0.003125, 0.0, 1.0, 5, 1.01, 512),
 )
 POINTS, AGAIN = 14, 3  # of a way, between which lines are tried, and how often at most
 BETTER = 0.95  # times as long as before, from which on it is not tried again
