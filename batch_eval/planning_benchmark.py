@@ -27,6 +27,7 @@ from jaxik.planning import JointPath, PlanResult, plan_motion, time_path
 
 TOUCH = 1e-6  # [m] that float32 does not tell from contact
 APART = 1e-3  # [m] that any point of the robot moves at most between samples that are judged
+SAMPLES = 5000  # of a motion, at least
 PATHS, JOINTS, WAYPOINTS = 1000, 7, 6
 VELOCITY, ACCELERATION = 2.0, 8.0
 PLACES = {"toppra": 100, "jaxik": 500}
@@ -38,7 +39,7 @@ def judged(robot: jaxik.Robot, coal: Coal, scene: jaxik.Scene, moved: PlanResult
     reach = jaxik.collision.continuous_collision.joint_reaches(robot)
     state = moved.trajectory.sample(1e-3)
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(state.q, axis=0)) @ reach)])
-    places = np.linspace(0.0, way[-1], int(np.ceil(way[-1] / APART)) + 1)
+    places = np.linspace(0.0, way[-1], max(SAMPLES, int(np.ceil(way[-1] / APART)) + 1))
     q = np.stack([np.interp(places, way, column) for column in state.q.T], axis=1)
     hit = np.flatnonzero(coal.collides(scene, q))
     inside = np.all((state.q >= robot.lower - 1e-9) & (state.q <= robot.upper + 1e-9))
@@ -85,6 +86,8 @@ def problems(folder: Path, tip: str | None = None) -> dict[str, Any]:
         "rounds": [float(x) for x in np.percentile([m.rounds for m in motions if m.rounds], [50, 95, 100])],
         "seeds": seeds(robot, goals[:: max(1, len(goals) // 70)]),
         "many": many(robot, goals[0].scene),
+        "scenes": scenes(robot, goals, motions),
+        "improved": improved(robot, goals[:: max(1, len(goals) // 70)]),
         "failed": {goal.name: moved.why for goal, moved in zip(goals, motions, strict=True) if not moved},
         "fresh": fresh.first_motions(folder, tip),
     }
@@ -124,6 +127,39 @@ def many(robot: jaxik.Robot, scene: jaxik.Scene, count: int = 10_000) -> dict[st
         "an_hour": 3600.0 * len(starts) / seconds,
         "as_alone": all(np.array_equal(moved[i].waypoints, one.waypoints) for i, one in zip(some, alone, strict=True) if one),
     }
+
+
+def scenes(robot: jaxik.Robot, goals: list[Any], motions: tuple[PlanResult, ...], rounds: int = 3) -> dict[str, Any]:
+    """All problems, each in its own scene, in one call; the motions are to be those of one call each."""
+    starts, ends = np.array([goal.start for goal in goals]), np.array([goal.q for goal in goals])
+    run = lambda: plan_motion(robot, starts, ends, scene=[goal.scene for goal in goals])
+    (found, first), *others = [clocked(run) for _ in range(rounds)]
+    alone = [one.waypoints for one in motions]
+    same = [a is b is None or np.array_equal(a, b) for a, b in zip(found.waypoints, alone, strict=True)]
+    least = min(seconds for _, seconds in others)
+    return {
+        "solved": int(np.sum(found.success)),
+        "ms_each": 1e3 * least / len(goals),
+        "first_ms_each": 1e3 * first / len(goals),
+        "as_alone": all(same),
+    }
+
+
+def improved(robot: jaxik.Robot, goals: list[Any], seconds: tuple[float, ...] = (0.01, 0.1, 1.0)) -> dict[str, Any]:
+    """The mean share of a way's length, and of a motion's time, that is left after so many seconds more."""
+    plan = lambda goal, time: plan_motion(robot, goal.start, goal.q, scene=goal.scene, improve=time)
+    before = [(goal, moved) for goal in goals if (moved := plan(goal, None))]
+    result: dict[str, Any] = {"motions": len(before), "over_bound": float(np.mean([m.length / m.bound for _, m in before]))}
+    for time in seconds:
+        shorter = [(plan(goal, time), moved) for goal, moved in before]
+        lengths = [after.length / moved.length for after, moved in shorter]
+        result[f"after_{time:g}_s"] = {
+            "length": float(np.mean(lengths)),
+            "longest": float(np.max(lengths)),
+            "over_bound": float(np.mean([after.length / after.bound for after, _ in shorter])),
+            "duration": float(np.mean([after.trajectory.duration / moved.trajectory.duration for after, moved in shorter])),
+        }
+    return result
 
 
 def timing(rounds: int = 5, theirs: int = 20) -> dict[str, Any]:

@@ -18,11 +18,16 @@ from tables.collision import (
 from tables.forces import dynamics_markdown, identification_markdown, torque_markdown, touch_markdown
 from tables.motions import (
     astar_markdown,
+    ends_markdown,
     harvest_motions_markdown,
+    jerk_markdown,
     peppers_markdown,
     planning_markdown,
     predictive_markdown,
+    roadmap_markdown,
+    slit_markdown,
     statistics_markdown,
+    trajectory_markdown,
 )
 from tables.postures import (
     base_markdown,
@@ -50,10 +55,12 @@ TABLES = {
     "collision_scenes.json": scenes_markdown,
     "collision_scaling.json": scaling_markdown,
     "dynamics_benchmark.json": dynamics_markdown,
+    "ends_benchmark.json": ends_markdown,
     "general_arms.json": general_markdown,
     "harvest_motions.json": harvest_motions_markdown,
     "identification.json": identification_markdown,
     "ik_benchmark.json": ik_markdown,
+    "jerk_benchmark.json": jerk_markdown,
     "mesh_benchmark.json": mesh_markdown,
     "motions.json": motions_markdown,
     "narrow_goals.json": narrow_markdown,
@@ -63,10 +70,13 @@ TABLES = {
     "predictive_benchmark.json": predictive_markdown,
     "predictive_statistics.json": statistics_markdown,
     "random_programs.json": programs_markdown,
+    "roadmap_benchmark.json": roadmap_markdown,
+    "slit_benchmark.json": slit_markdown,
     "sweep_benchmark.json": sweep_markdown,
     "teleoperation.json": teleoperation_markdown,
     "torque_estimation.json": torque_markdown,
     "touch.json": touch_markdown,
+    "trajectory_benchmark.json": trajectory_markdown,
 }
 
 

@@ -23,6 +23,7 @@ class Reason(IntEnum):
     UNEXCITED = 8  # a log: it does not tell well all that motions of the robot could
     SILENT = 9  # a device: it says nothing
     UNEXPLAINED = 10  # a log: most of a joint's torque is nothing that bodies and friction do
+    NO_WAY = 11  # a motion: proven that none leads from its start to its goal
 
     @property
     def text(self) -> str:

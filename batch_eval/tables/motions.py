@@ -7,6 +7,8 @@ from typing import Any
 
 from tables.words import duration, first_calls
 
+KINDS = "solved", "no way", "not converged"
+
 
 def predictive_markdown(result: dict[str, Any]) -> str:
     """A row for each horizon, and before them the instantaneous motion."""
@@ -70,13 +72,32 @@ def statistics_markdown(result: dict[str, Any]) -> str:
     return "\n".join([*lines, "", others, best, secant])
 
 
+def ends_markdown(result: dict[str, Any]) -> str:
+    """Turns, poses, ways out of collision, and proofs that there is no way."""
+    seam, poses, escapes, cells = (result[part] for part in ("seam", "poses", "escapes", "cells"))
+    share, cpu = seam["share_of_the_straight_time_without_turns"][0], poses["more_cpu_ms"]
+    counts = cells["counts"]
+    rows = [
+        ("an arm with three endless joints, goals across the seam, solved", f"{seam['solved']} of {seam['problems']}"),
+        ("of these every joint the short way", f"{seam['short_way_each_joint']}"),
+        ("motion time, of the straight line to the goal as it was given, p50", f"{100 * share:.0f} %"),
+        ("goals as poses of the tip, as postures, solved", f"{poses['poses_solved']}, {poses['postures_solved']}"),
+        ("processor's time more than to a posture, p50, p95", f"{cpu[0]:.1f} ms, {cpu[1]:.1f} ms"),
+        ("starts in collision led out of it", f"{escapes['solved']} of {escapes['starts']}"),
+        ("of these with a clearance that rises throughout", f"{escapes['rise_throughout']}"),
+        ("three joints among balls: solved, proven to have no way, neither", ", ".join(str(counts.get(k, 0)) for k in KINDS)),
+        ("a proof that there is no way, p50, slowest", ", ".join(f"{cells['ms']['no way'][k]:.0f} ms" for k in (0, 2))),
+    ]
+    return "\n".join(["| where motions begin and end | |", "| --- | --- |", *(f"| {name} | {value} |" for name, value in rows)])
+
+
 def planning_markdown(result: dict[str, Any]) -> str:
     """MotionBenchMaker's problems, and paths that are timed."""
     problems, timing = result["problems"], result["timing"]
-    seeds, many = problems["seeds"], problems["many"]
+    seeds, many, scenes = problems["seeds"], problems["many"], problems["scenes"]
     rows = [
         ("solved", f"{problems['solved']} of {problems['problems']}"),
-        ("of these free by coal, every millimetre", f"{problems['free']}"),
+        ("of these free by coal, 5,000 samples a motion, at least every millimetre", f"{problems['free']}"),
         ("of these inside the limits of position", f"{problems['inside']}"),
         ("velocity, acceleration, at most of their limits", f"{problems['velocity']:.9f}, {problems['acceleration']:.9f}"),
         (
@@ -87,6 +108,14 @@ def planning_markdown(result: dict[str, Any]) -> str:
         (
             f"{many['motions']:,} random motions in one scene, {many['straight']:,} of them straight",
             f"{many['solved']:,} solved; {many['ms_each']:.2f} ms each in one call, {many['alone_ms_each']:.1f} ms alone",
+        ),
+        (
+            "all of them in one call, each in its own scene",
+            f"{scenes['solved']:,} solved, {scenes['ms_each']:.2f} ms each",
+        ),
+        (
+            f"length of the way after 0.1 s, 1 s more (`improve`), {problems['improved']['motions']} motions",
+            ", ".join(f"{100 * problems['improved'][k]['length']:.0f} %" for k in ("after_0.1_s", "after_1_s")),
         ),
         ("a process' first call, its slowest later one", first_calls(problems["fresh"]["compiling"])),
         ("the same, with the kernels on disk", first_calls(problems["fresh"]["kernels_on_disk"])),
@@ -105,6 +134,81 @@ def planning_markdown(result: dict[str, Any]) -> str:
             f"| toppra, {places['toppra']} places, alone | {duration(timing['toppra_us_each'])} | limits kept there alone |",
         ]
     )
+
+
+def roadmap_markdown(result: dict[str, Any]) -> str:
+    """A roadmap: what it takes to make, to ask, and to keep true as a box moves."""
+    made, asked = result["roadmap"], result["asked"]
+
+    def answers(name: str) -> str:
+        rows = [asked[f"{ends}_{name}"] for ends in ("nodes", "postures")]
+        times = [", ".join(duration(1e3 * row[k]) for k in ("p50_ms", "p95_ms")) for row in rows]
+        lasts = [f", {row['duration_s']:.2f} s" if "duration_s" in row else "" for row in rows]
+        return " | ".join(f"{time}; {row['length_m']:.2f} m{s}" for time, row, s in zip(times, rows, lasts, strict=True))
+
+    size = f"{made['nodes']:,} nodes, {made['lines']:,} lines, {made['free']:,} of them free"
+    lines = [
+        f"| {size} | between nodes: median, 95 %; length | between other postures |",
+        "| --- | --- | --- |",
+        *(f"| {words} | {answers(name)} |" for name, words in (("ways", "`way`"), ("plans", "`plan`, timed"))),
+        f"| `plan_motion`, timed | {answers('plan_motion')} |",
+        "",
+        *textwrap.wrap(_of_changes(made, result["others"], result["moved"]), 118),
+    ]
+    return "\n".join(lines)
+
+
+def _of_changes(made: dict[str, Any], others: dict[str, Any], parts: list[dict[str, Any]]) -> str:
+    """A roadmap from a file, as a box moves, and in other cells."""
+    moves = sum(part["moves"] for part in parts)
+    mean = lambda of: sum(part["moves"] * of(part) for part in parts) / moves
+    judged, hit = (sum(sum(part[name].values()) for part in parts) for name in ("judged", "hit"))
+    looked, changed = mean(lambda part: part["looked_at_mean"]), mean(lambda part: part["changed_mean"])
+    typical, slowest = mean(lambda part: part["update"]["p50_ms"]), max(part["update"]["most_ms"] for part in parts)
+    places, kept = sum(part["samples"] for part in parts), 1e3 * made["load_s"]
+    told = f"Made in {made['build_s']:.0f} s; read from a file of {made['file_MB']:.0f} MB in {kept:.0f} ms. A box was put "
+    told += f"elsewhere {moves:,} times: {looked:,.0f} lines are looked at on average, and {changed:,.0f} change, in "
+    told += f"{typical:.0f} ms (median; at most {slowest / 1e3:.1f} s). Of {judged:,} ways and lines that coal judged, at "
+    told += f"{places:,} places, {hit} hit. In {others['problems']} other cells, in which all things stand elsewhere, "
+    told += f"{100 * others['looked_at']:.0f} % of the lines are looked at, and {others['without_search']} problems are solved "
+    return told + f"without a search, {others['solved']} with one; `plan_motion` solves {others['plan_motion_solved']}."
+
+
+def jerk_markdown(result: dict[str, Any]) -> str:
+    """Motions with a limit of the jerk, a row for each."""
+    lines = [
+        "| limits of the jerk | solved, free | velocity, acceleration, jerk, at most of their limits | to the motion without | "
+        "through the waypoints, to Ruckig | its timing; the call; without jerk |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, row in result.items():
+        if not isinstance(row, dict) or "problems" not in row:
+            continue
+        used = ", ".join(f"{row[f'share_of_{kind}']:.5f}" for kind in ("velocity", "acceleration", "jerk"))
+        lines.append(
+            f"| {name} | {row['solved']}, {row['free']} of {row['problems']} | {used} | "
+            f"{row['to_without_jerk_mean']:.3f} (at most {row['to_without_jerk_most']:.2f}) | "
+            f"at most {row['lines_to_ruckig_most']:.3f}; {row['lines_to_ruckig_on_lines_most']:.3f} where it stays on the "
+            f"lines, {row['ruckig_on_lines']} of {row['solved']} | "
+            f"{row['ms_timing_p50']:.0f} ms; {row['ms_p50']:.0f} ms; {row['ms_without_p50']:.0f} ms |"
+        )
+    return "\n".join(lines)
+
+
+def trajectory_markdown(result: dict[str, Any]) -> str:
+    """Optimised motions beside planned ones."""
+    verbs = {name: result[name] for name in ("plan_motion", "optimise_trajectory")}
+    beside, spread = result["beside"], ("p50_ms", "mean_ms", "p95_ms", "slowest_ms")
+    rows = [
+        ("solved", lambda of: f"{of['solved']} of {result['problems']}"),
+        ("of these free by coal, every millimetre", lambda of: f"{of['free']}"),
+        ("one call, warm: median, mean, 95 %, slowest", lambda of: ", ".join(f"{of[k]:.0f} ms" for k in spread)),
+        ("motion, median", lambda of: f"{of['duration_s']:.2f} s"),
+    ]
+    lines = [f"| {result['robot']}, from start to goal | {' | '.join(verbs)} |", "| --- | --- | --- |"]
+    lines += [f"| {words} | {' | '.join(told(of) for of in verbs.values())} |" for words, told in rows]
+    ratios = f"{beside['time_ratio_mean']:.2f} (from {beside['time_ratio_least']:.2f} to {beside['time_ratio_most']:.2f})"
+    return "\n".join([*lines, f"| time of motion, mean of its share of the planner's | 1 | {ratios} |"])
 
 
 def _is_way(row: Any) -> bool:
@@ -220,3 +324,17 @@ def harvest_motions_markdown(result: dict[str, Any]) -> str:
         f"anything is {nearest:.1f} mm away; 2 mm are asked for.",
     ]
     return "\n".join([*lines, "", *said])
+
+
+def slit_markdown(result: dict[str, Any]) -> str:
+    """A row for each tip and plate, over all turns of the slot."""
+    many, most = result["seeds"], result["within_s"]
+    lines = [f"| tip, plate | solved within {most:g} s | of these free | p50 | slowest |", "| --- | --- | --- | --- | --- |"]
+    for case in result["cases"]:
+        slots = case["slots"].values()
+        within, free = (sum(slot[what] for slot in slots) for what in ("within", "free"))
+        times = sorted(row["s"] for slot in slots for row in slot["motions"])
+        name = f"{1e3 * case['tip_m']:g} mm, {1e3 * case['thick_m']:g} mm thick"
+        half, last = (duration(1e6 * x) for x in (times[len(times) // 2], times[-1]))
+        lines.append(f"| {name} | {within} of {many * len(slots)} | {free} | {half} | {last} |")
+    return "\n".join(lines)

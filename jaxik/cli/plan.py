@@ -16,7 +16,18 @@ from jaxik.planning import PlanOptions, PlanResult
 from jaxik.planning.trajectory_files import ENDINGS
 from jaxik.reasons import Reason
 
-FLAGS = flags(PlanOptions, margin=float, velocity=float | None, acceleration=float | None, rounds=int, timeout=float | None)
+FLAGS = flags(
+    PlanOptions,
+    margin=float,
+    velocity=float | None,
+    acceleration=float | None,
+    jerk=float | None,
+    rounds=int,
+    timeout=float | None,
+    improve=float | None,
+    winding=float | None,
+    escape=bool,
+)
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -54,15 +65,15 @@ class PlanArguments(FLAGS, SearchArguments):
         moved = jaxik.plan_motion(robot, self.start, self.goal, scene=scene, seed=self.seed, options=options)
         seconds = time.perf_counter() - began
         if not moved:
-            raise Unsolved(f"no motion in {seconds:.1f} s: {self._why(moved, robot, scene)}")
+            raise Unsolved(f"no motion in {seconds:.1f} s: {self._why(moved)}")
         with writing(self.out) as (aside, wrote):
             jaxik.planning.save_trajectory(moved.trajectory, aside, dt=self.dt)
         lasts, corners = moved.trajectory.duration, len(moved.waypoints) - 2
         print(f"{lasts:.2f} s around {corners} corners, planned in {seconds:.2f} s; {wrote}")
 
-    def _why(self, moved: PlanResult, robot: jaxik.Robot, scene: jaxik.Scene) -> str:
+    def _why(self, moved: PlanResult) -> str:
         """The reason, with the joint that is beyond its limits most, or the pair that collides, at the start or the goal."""
         if moved.reason not in (Reason.LIMITS, Reason.COLLISION):
             return str(moved.why)
-        near = jaxik.explain(robot, scene, np.array(self.start if moved.where == "start" else self.goal), count=1)
-        return f"{moved.where}: {moved.reason}; {(near.limits if moved.reason == Reason.LIMITS else near.contacts)[0]}"
+        mend = "; try --escape" if moved.where == "start" and not self.escape else ""
+        return f"{moved.where}: {moved.reason}; {moved.offenders[0]}{mend}"

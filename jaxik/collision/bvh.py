@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -64,8 +64,23 @@ class Obstacles:
     bodies: Bodies | None
     ignores: tuple[tuple[int, str], ...] = static()
 
+    @property
+    def form(self) -> Form:
+        """The form of these."""
+        room = len(self.leaves.radius)
+        return Form(len(next(iter(self.rows.values()))) // room if room else 1, room, self.bodies is not None)
+
 
 Grouped = tuple[Obstacles | Own, ...]
+
+
+class Form(NamedTuple):
+    """The shapes of `Obstacles`' arrays follow from this, besides their kind: the rows a leaf, the room for leaves, and whether
+    there may be solids of triangles."""
+
+    size: int
+    room: int
+    solid: bool
 
 
 def grouped(scene: Scene | Grouped | None, robot: Robot, by_object: bool = False) -> Grouped:
@@ -90,6 +105,21 @@ def grouped(scene: Scene | Grouped | None, robot: Robot, by_object: bool = False
     remembered(scene, "checked", lambda: check_scene(scene))
     found = remembered(scene, (robot.ignored, by_object), lambda: _grouped(scene, robot.ignored, by_object))
     return found + own_shapes(robot)
+
+
+def grouped_alike(scenes: Sequence[Scene], robot: Robot) -> list[tuple[Obstacles, ...]]:
+    """The obstacles of each scene, known ones, for a robot: of the same kinds, with arrays of the same shapes, so that they
+    stack. Raises `ValueError` as `grouped`."""
+    each = [obstacles_in(grouped(scene, robot)) for scene in scenes]
+    forms: dict[str, Form] = {}
+    for obstacles in itertools.chain.from_iterable(each):
+        form, other = obstacles.form, forms.get(obstacles.kind, obstacles.form)
+        most = max(form.size, other.size), max(form.room, other.room)
+        forms[obstacles.kind] = Form(*most, form.solid or other.solid)
+    alike = tuple((kind, forms[kind]) for kind in SHAPES if kind in forms)
+    fits = lambda found: tuple((o.kind, o.form) for o in found) == alike
+    anew = lambda scene: remembered(scene, (robot.ignored, alike), lambda: _grouped(scene, robot.ignored, False, dict(alike)))
+    return [found if fits(found) else anew(scene) for scene, found in zip(scenes, each, strict=True)]
 
 
 def obstacles_in(around: Grouped) -> tuple[Obstacles, ...]:
@@ -120,7 +150,10 @@ def bits(ignored: tuple[tuple[int, str], ...]) -> dict[int, int]:
     return {link: 1 << k for k, link in enumerate(links)}
 
 
-def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool) -> tuple[Obstacles, ...]:
+def _grouped(
+    scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool, least: dict[str, Form] | None = None
+) -> tuple[Obstacles, ...]:
+    """`grouped`, without the robot's own shapes; each kind with `least` its form, if it is told, even where none are there."""
     bit = bits(ignored)
     masks = [sum({bit[link] for link, what in ignored if what in ("*", name)}) for name in (*scene.object_names, "")]
     found = []
@@ -128,17 +161,24 @@ def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool
         rows = {name: getattr(obstacles, name) for name in SHAPES[kind]}
         if is_known(rows):
             rows = jax.tree_util.tree_map(np.asarray, rows)
-        if len(owner):
-            found.append(_obstacles(kind, rows, owner, np.array(masks, np.int32), by_object, ignored))
+        if len(owner) or kind in (least or {}):
+            form = (least or {}).get(kind, Form(1, 0, False))
+            found.append(_obstacles(kind, rows, owner, np.array(masks, np.int32), by_object, ignored, form))
     return tuple(found)
 
 
 def _obstacles(
-    kind: str, rows: dict[str, Any], owner: np.ndarray, masks: np.ndarray, by_object: bool, ignored: tuple[tuple[int, str], ...]
+    kind: str,
+    rows: dict[str, Any],
+    owner: np.ndarray,
+    masks: np.ndarray,
+    by_object: bool,
+    ignored: tuple[tuple[int, str], ...],
+    least: Form,
 ) -> Obstacles:
     """`masks` of each object, and of what belongs to none, at last."""
     known = is_known(rows)
-    size = LEAF[kind] if not known or len(owner) > FAN else 1  # a few fill no leaf
+    size = max(LEAF[kind] if not known or len(owner) > FAN else 1, least.size)  # a few fill no leaf
     xp = np if known else jnp
     center, radius = _extent(rows if known else lax.stop_gradient(rows), xp)
     there = np.arange(len(radius)) if not known else np.flatnonzero(~(np.abs(center).max(axis=1) > FAR / 2.0))
@@ -157,14 +197,14 @@ def _obstacles(
     last = np.minimum(first + fan, ends[group + 1])
     ignores = (masks[:-1] if by_object else keys)[group].astype(np.int32)
     room = max(leaves, len(first), -(-len(radius) // size))  # with what is taken away: one kernel serves before and after
-    room = next((n for n in LEAVES if n >= room), room) if known else room
+    room = max(next((n for n in LEAVES if n >= room), room) if known else room, least.room)
     balls = around(center[order].reshape(-1, size, 3), radius[order].reshape(-1, size), xp)
     filled, numbered = lambda x: with_zeros(x, room, xp), lambda x: with_zeros(x.astype(np.int32), room, np)
     placed = lambda x: x if np.ndim(x) == 0 else with_zeros(xp.asarray(x)[order], room * size, xp)
     kept = {name: placed(x) for name, x in rows.items()}
     spheres, branches = (Balls(*map(filled, each)) for each in (balls, _joined(balls, first, last, xp)))
     branch = np.repeat(np.arange(len(first)), last - first)
-    bodies = _bodies(kept, owner, branch, by_object) if kind == "triangles" else None
+    bodies = _bodies(kept, owner, branch, by_object, least.solid) if kind == "triangles" else None
     first, last, ignores = map(numbered, (first, last, ignores))
     unsound = xp.asarray(sum(xp.sum(x) * 0.0 for x in rows.values()))
     return Obstacles(kind, kept, spheres, branches, first, last, ignores, np.int32(len(group)), unsound, bodies, ignored)
@@ -181,13 +221,15 @@ def _by_body(solid: Any, owner: np.ndarray, group: np.ndarray) -> tuple[Any, np.
     return order, owner[order]
 
 
-def _bodies(rows: dict[str, Any], owner: np.ndarray, branch: np.ndarray, by_object: bool) -> Bodies | None:
-    """The solids of triangles that stand side by side, if there may be any; `owner` and `branch` (k,) of the first k triangles,
-    after which comes room."""
+def _bodies(
+    rows: dict[str, Any], owner: np.ndarray, branch: np.ndarray, by_object: bool, always: bool = False
+) -> Bodies | None:
+    """The solids of triangles that stand side by side, if there may be any, or `always`; `owner` and `branch` (k,) of the first
+    k triangles, after which comes room."""
     (count,), known, room = owner.shape, is_known(rows), len(rows["solid"])
     rows = {name: x[:count] for name, x in (rows if known else lax.stop_gradient(rows)).items()}
     solid = rows["solid"]
-    if known and not solid.any():
+    if known and not solid.any() and not always:
         return None
     xp = np if known else jnp
     new = (solid > 0.0) & ((xp.diff(solid, prepend=0.0) != 0.0) | (np.diff(owner, prepend=-2) != 0))
@@ -220,7 +262,8 @@ def _extent(rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
     """The centres (k, 3) and radii (k,) of spheres around obstacles."""
     place, *more = (x for name, x in rows.items() if name not in SIZES_OF)
     if place.shape[1:] == (4, 4):
-        square = xp.sum(rows["half"].reshape(len(place), -1) ** 2, axis=1)
+        half = rows["half"]
+        square = xp.sum(half**2, axis=1) if half.ndim > 1 else half**2
         return place[:, :3, 3], xp.sqrt(rows.get("radius", 0.0) ** 2 + square)
     radius = xp.broadcast_to(rows.get("radius", 0.0), place.shape[:1])
     return balls_of(xp.stack([place, *more], axis=1), radius, xp) if more else (place, radius)  # most are points

@@ -178,8 +178,8 @@ def first_to_collide(robot: Robot, around: Grouped, q: Any, margin: Any, every: 
     does will do. Lanes behind the first need not be known. Nothing is checked. Traced.
 
     Programs that ask for it with arguments of the same shapes share one trace."""
-    ask = _remembered if is_known(robot) else _first_to_collide
-    return ask(robot, around, q, jnp.asarray(margin, q.dtype), jnp.asarray(every))
+    ask = _one_trace(robot) if is_known(robot) else functools.partial(_first_to_collide, robot)
+    return ask(around, q, jnp.asarray(margin, q.dtype), jnp.asarray(every))
 
 
 def _first_to_collide(robot: Robot, around: Grouped, q: Any, margin: Any, every: Any) -> Any:
@@ -193,7 +193,9 @@ def _first_to_collide(robot: Robot, around: Grouped, q: Any, margin: Any, every:
     return first(_too_near(robot, around, q, margin, settled))
 
 
-_remembered = jax.jit(_first_to_collide, static_argnums=0)
+@functools.lru_cache(maxsize=64)
+def _one_trace(robot: Robot) -> Callable[..., Any]:
+    return jax.jit(functools.partial(_first_to_collide, robot))
 
 
 def _too_near(robot: Robot, around: Grouped, q: Any, margin: Any, settled: Callable[[Any], Any]) -> Any:

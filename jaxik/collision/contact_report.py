@@ -68,7 +68,8 @@ class Limit:
 
     def __str__(self) -> str:
         where = "inside its limits" if self.margin >= 0.0 else "beyond its limits"
-        return f"{self.joint} is {abs(self.margin):.3f} {self.unit} {where}"
+        size = abs(self.margin)
+        return f"{self.joint} is {size:.{'3f' if size >= 5e-4 or not size else '1g'}} {self.unit} {where}"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import operator
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from typing import Any
 
 import jax
@@ -202,6 +202,20 @@ class Scene(Constant):
         marks = tuple(dataclasses.replace(m, position=to(m.position), axis=turn @ m.axis) for m in self.marks)
         return dataclasses.replace(self, marks=marks, **kinds)
 
+    @classmethod
+    def stacked(cls, scenes: Sequence[Scene]) -> Scene:
+        """The obstacles of several scenes, at least one, with a leading axis, padded to the same sizes and without names: to
+        map a function over scenes.
+
+            near = jax.vmap(lambda scene, q: jaxik.clearance(robot, scene, q))(jaxik.Scene.stacked(scenes), postures)
+
+        Raises `ValueError` as `check_scene`.
+        """
+        each = [scene.geometry() for scene in scenes]
+        sizes = {kind: max(getattr(one, kind).count for one in each) for kind in KINDS}
+        alike = [{kind: _filled(getattr(one, kind), size) for kind, size in sizes.items()} for one in each]
+        return jax.tree_util.tree_map(lambda *x: jnp.stack(x), *(cls(**kinds) for kinds in alike))
+
     def geometry(self) -> Scene:
         """The obstacles alone, padded and without names: scenes of like sizes then run the same compiled program."""
         padded = self.padded()
@@ -240,8 +254,12 @@ def _moved_away(obstacles: Any, mask: np.ndarray) -> Any:
 
 def _padded(obstacles: Any) -> Any:
     """Fills obstacles up to the next of `SIZES`; where there are more they stay."""
+    return _filled(obstacles, next((s for s in SIZES if s >= obstacles.count), obstacles.count))
+
+
+def _filled(obstacles: Any, size: int) -> Any:
+    """Fills obstacles up to such a number."""
     count, xp = obstacles.count, np if is_known(obstacles) else jnp
-    size = next((s for s in SIZES if s >= count), count)
     filled = jax.tree_util.tree_map(lambda x: with_zeros(x, size, xp) if x.ndim else x, obstacles)
     return _moved_away(filled, np.arange(size) >= count)
 

@@ -27,7 +27,8 @@ from jaxik.harvesting.tour import best_members, shortest_tour
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker, judged, touched
 from jaxik.planning.limits import motion_limits
-from jaxik.planning.planner import PlanOptions, plan_motion, postures
+from jaxik.planning.motion_ends import postures
+from jaxik.planning.planner import PlanOptions, plan_motion
 from jaxik.planning.trajectory import Trajectory
 from jaxik.reach.grasp import without
 from jaxik.reasons import Reason
@@ -109,7 +110,7 @@ class _Planner:
         if several and asked.shape[-2:] == (4, 4) and asked.ndim <= 3 and (n != 4 or asked.ndim == 3):
             poses = asked.reshape(-1, 4, 4)
             near, bound = np.tile(self.home, (len(poses), 1)), (self.options.task, self.options.margin)
-            reason, found = postures(self.robot, scene, near, poses, PLACES, self.limits, self.seed, *bound)
+            reason, found, _ = postures(self.robot, scene, near, poses, PLACES, self.limits, self.seed, *bound)
             if reason.all():
                 told = ", ".join(sorted({Reason(int(r)).text for r in reason}))
                 raise ValueError(f"plan_harvest: {name}: {told}; give a pose that is within reach, and free")

@@ -71,6 +71,14 @@ class Poses(NamedTuple):
         fault[~valid] = [_fault(pose) for pose in each[~valid]]
         return Poses(cleaned, fault, poses.ndim == 2)
 
+    def of_scenes(self, count: int) -> Poses:
+        """The targets of so many scenes, one each: as they are, or the only one in all. Raises `ValueError` for another
+        number."""
+        if len(self.poses) not in (1, count) or not count:
+            raise ValueError(f"solve_ik: {count} scenes for {len(self.poses)} targets; give one, or a list of one for each")
+        poses = np.broadcast_to(self.poses, (count, 4, 4))
+        return Poses(poses, np.broadcast_to(self.fault, count), single=False)
+
 
 def _fault(pose: np.ndarray) -> int:
     """The number in `FAULTS` of the first fault of a matrix (4, 4) that is no pose."""
@@ -140,11 +148,14 @@ class Problem:
         strategy = _strategy(robot, options)
         inside, whole = (_range(robot, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
         around = grouped(scene, robot) if scene is not None else None
-        if around is not None and choice != "clearance":  # which ranks what is clear
-            around = at_margin(around, options.margin)
         unit = sqp_programs.unit_length(robot)
         each = targets.poses, targets.fault, low, high, weights, inside, whole, unit, strategy, tolerance, reference
-        return Problem(robot, around, seed, options, choice, *each)
+        problem = Problem(robot, around, seed, options, choice, *each)
+        return problem if around is None else dataclasses.replace(problem, scene=problem.asked(around))
+
+    def asked(self, around: Grouped) -> Grouped:
+        """The surroundings, which decide no further off than is asked."""
+        return around if self.choice == "clearance" else at_margin(around, self.options.margin)  # that ranks what is clear
 
     def part(self, rows: slice) -> Problem:
         """Keeps only some of the targets."""

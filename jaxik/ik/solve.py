@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -20,10 +21,10 @@ from jax import lax
 from jaxtyping import Bool, Float, Int
 
 from jaxik.checks.arrays import Array, as_numbers
-from jaxik.collision.bvh import Grouped, decided_within, own_in
+from jaxik.collision.bvh import Grouped, decided_within, grouped_alike, own_in
 from jaxik.collision.clearances import check_geometry, has_geometry, link_clearances
 from jaxik.collision.contact_report import Contact, explain, warn_of_scene
-from jaxik.collision.own_shape import told_below
+from jaxik.collision.own_shape import own_shapes, told_below
 from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.costs import Cost
@@ -71,7 +72,7 @@ class IKResult(Result):
     solutions: Float[np.ndarray, "*b k n"]
     num_solutions: Int[np.ndarray, "*b"] | Any
     fault: Int[np.ndarray, "*b"] | Any = 0
-    solved_in: Any = static(default=None)  # robot, scene, margin
+    solved_in: Any = static(default=None)  # robot, scene or one a target, margin
     ROW: ClassVar = "target"
     HELP: ClassVar = {
         Reason.OUT_OF_REACH: "check its unit, its frame, which is the robot's base, and the robot's tip, or move one of them",
@@ -101,6 +102,15 @@ class IKResult(Result):
         found = explain(robot, scene, self.q, count=sys.maxsize, below=margin).contacts
         return found or explain(robot, scene, self.q, count=1).contacts  # rounding may put the nearest on the margin itself
 
+    def __getitem__(self, rows: Any) -> IKResult:
+        found = super().__getitem__(rows)
+        if self.solved_in is None or self.single or not isinstance(self.solved_in[1], tuple):
+            return found
+        robot, scenes, margin = self.solved_in
+        numbers = np.arange(len(scenes))[rows]
+        own = tuple(scenes[i] for i in numbers) if numbers.ndim else scenes[int(numbers)]
+        return dataclasses.replace(found, solved_in=(robot, own, margin))
+
     @staticmethod
     def joined(parts: Sequence[IKResult]) -> IKResult:
         """Joins batches, at least one, one after another; as many solutions wide as the widest."""
@@ -116,7 +126,7 @@ def solve_ik(
     robot: Robot,
     targets: Any,
     *,
-    scene: Scene | None = None,
+    scene: Scene | Sequence[Scene] | None = None,
     seed: int = 0,
     options: IKOptions | None = None,
     progress: Callable[[int, int], Any] | None = None,
@@ -125,9 +135,9 @@ def solve_ik(
     """Finds configurations inside the limits whose tip has the target poses, `base_T_tip` (4, 4) or (N, 4, 4) [m]; or reasons.
     Host driver.
 
-    An answer keeps `margin` to the scene, and the robot to itself; without a scene to itself alone. Nothing is checked for a
-    robot without collision geometry, and with `collision=False`; where only the geometry's meshes were not read, a warning says
-    so.
+    An answer keeps `margin` to the scene, and the robot to itself; without a scene to itself alone. A list of scenes has one
+    for each target, or for the only one. Nothing is checked for a robot without collision geometry, and with
+    `collision=False`; where only the geometry's meshes were not read, a warning says so.
 
     A task that binds no rotation takes positions too, (3,) or (N, 3). `changes` are fields of `IKOptions` by name.
     `progress(done, total)` counts targets. Deterministic: `seed` decides, and a target's result does not depend on the others.
@@ -140,15 +150,21 @@ def solve_ik(
     in collision in every configuration, and of meshes that were not read.
     """
     options = IKOptions.chosen(options, changes)
-    around, unseen = _around(robot, scene, options)
+    scenes: Any = tuple(scene) if isinstance(scene, list | tuple) else None
+    each = [_around(robot, one, options) for one in ((scene,) if scenes is None else scenes)]  # type: ignore[arg-type]
     given = Poses.of(targets, options.task)
-    if unseen:
+    if scenes is not None:
+        given = given.of_scenes(len(scenes))
+    for unseen in {words for _, words in each if words}:
         warnings.warn(f"solve_ik: {unseen}", stacklevel=2)
-    if around is not None:
+    for around in {id(one): one for one, _ in each if one is not None}.values():
         warn_of_scene("solve_ik", robot, around, options.margin)
     if doubt := millimetres(robot, given.poses[given.fault == 0, :3, 3]):
         warnings.warn(f"solve_ik: {doubt}", stacklevel=2)
-    result = solved(robot, given, around, seed, options, progress)
+    if scenes is None or options.collision is False:
+        result = solved(robot, given, None if options.collision is False else each[0][0], seed, options, progress)
+    else:
+        result = _solved_apart(robot, given, scenes, seed, options, progress)
     return result[0] if given.single else result
 
 
@@ -188,6 +204,27 @@ def solved(
             progress(min(start + size, count), count)
     joined = IKResult.joined(parts)
     return joined if scene is None else dataclasses.replace(joined, solved_in=(robot, scene, options.margin))
+
+
+def _solved_apart(
+    robot: Robot,
+    targets: Poses,
+    scenes: tuple[Scene, ...],
+    seed: int,
+    options: IKOptions,
+    progress: Callable[[int, int], Any] | None = None,
+) -> IKResult:
+    """`solved`, each target in a scene of its own, by the same programs: scene by scene, those that follow in one together."""
+    problem, parts = Problem.of(robot, scenes[0], seed, options, targets), []
+    around = [problem.asked(each + own_shapes(robot)) for each in grouped_alike(scenes, robot)]
+    for _, numbers in itertools.groupby(range(len(scenes)), lambda i: id(scenes[i])):
+        first, *more = numbers
+        end = first + len(more) + 1
+        part = dataclasses.replace(problem.part(slice(first, end)), scene=around[first])
+        parts.append(_result(part, search(part)))
+        if progress:
+            progress(end, len(scenes))
+    return dataclasses.replace(IKResult.joined(parts), solved_in=(robot, scenes, options.margin))
 
 
 def _result(problem: Problem, outcome: Outcome) -> IKResult:

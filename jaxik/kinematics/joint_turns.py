@@ -76,6 +76,13 @@ def endless(robot: Robot) -> np.ndarray:
     return np.isinf(robot.lower) & np.isinf(robot.upper) & ~np.array(robot.is_prismatic)
 
 
+def wound(robot: Robot, winding: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the limits (n,), (n,) of the robot, in which joints without any may be no further than `winding` [rad] from zero,
+    which is where what hangs on them, cables, is not wound up. None: as far as they like."""
+    bound = np.where(endless(robot), np.inf if winding is None else winding, np.inf)
+    return np.maximum(robot.lower, -bound), np.minimum(robot.upper, bound)
+
+
 def whole_turns(endless: np.ndarray, q: np.ndarray) -> Any:
     """Returns the whole turns (..., n) [rad] of the `endless` joints (n,) of q (..., n); 0 for the others. Host."""
     if not endless.any():  # planning asks often, and of a few at a time

@@ -9,6 +9,7 @@ quadratic cost: it becomes smoother as it becomes shorter [Zucker et al. 2013]. 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxik.optimise.banded import banded_solve
-from jaxik.optimise.programme import Layout, Measured, Problem
+from jaxik.optimise.programme import Layout, Measured, Problem, one_sided
 from jaxik.optimise.splines import applied, spread
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import cores, in_blocks, threads
@@ -44,6 +45,7 @@ class Found(NamedTuple):
     violation: Float[np.ndarray, " b"]
     multipliers: Float[np.ndarray, "b j e"]
     pressure: Float[np.ndarray, "b s l"]
+    stretch: Float[np.ndarray, " b"]
 
 
 class _State(NamedTuple):
@@ -53,6 +55,7 @@ class _State(NamedTuple):
 
     which: np.ndarray
     points: np.ndarray
+    stretch: np.ndarray
     slack: list[np.ndarray]
     dual: list[np.ndarray]
     multipliers: np.ndarray
@@ -71,9 +74,11 @@ class _State(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """Changes; by how much the cost would fall were all quadratic, and the equations' next multipliers."""
+    """Changes of points, stretches, slacks and duals; by how much the cost would fall were all quadratic, and the equations'
+    next multipliers."""
 
     points: np.ndarray
+    stretch: np.ndarray
     slack: list[np.ndarray]
     dual: list[np.ndarray]
     promise: np.ndarray
@@ -87,18 +92,20 @@ def optimise(
     tolerance: float = 1e-4,
     exact: float = 1e-7,
     multipliers: np.ndarray | None = None,
+    stretch: np.ndarray | None = None,
 ) -> Found:
-    """Optimises motions from control points (B, M, n), and the equations' multipliers (B, j, m) where they are known. A motion
+    """Optimises motions from control points (B, M, n), and the equations' multipliers (B, j, m) and the stretches of time (B,),
+    1 unless they are given, where these are known. A motion
     is done where a step promises to lower its cost by less than `tolerance` of it, or the last few did not lower it by more,
     and no equation or bound is off by more than `exact`."""
     points, layout = np.array(points, np.float64), Layout(problem, points.shape)
     known = layout.no_multipliers(len(points)) if multipliers is None else multipliers
-    rows = np.arange(len(points))
+    rows, slow = np.arange(len(points)), np.ones(len(points)) if stretch is None else stretch
     shares = [rows[k :: cores()] for k in range(cores())] if len(points) >= _FEW * cores() else [rows]
 
     def run(which: np.ndarray) -> Found:
         with np.errstate(over="ignore", invalid="ignore"):  # of one that has no way out; it is given up
-            return _run(layout, _first(layout, which, points[which], known[which]), iterations, tolerance, exact)
+            return _run(layout, _first(layout, which, points[which], slow[which], known[which]), iterations, tolerance, exact)
 
     parts = [run(rows)] if len(shares) == 1 else list(threads().map(run, shares))
     order = np.argsort(np.concatenate(shares))
@@ -108,7 +115,7 @@ def optimise(
 def assessed(problem: Problem, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The cost (B,) of control points (B, M, n), and by how much they break all bounds in sum (B,)."""
     layout, count = Layout(problem, points.shape), len(points)
-    here = layout.measured(np.array(points, np.float64), layout.no_multipliers(count), np.arange(count))
+    here = layout.measured(np.array(points, np.float64), np.ones(count), layout.no_multipliers(count), np.arange(count))
     return here.cost, sum((np.maximum(-d, 0.0).sum(axis=(1, 2)) for d in here.distances), start=np.zeros(count))
 
 
@@ -127,7 +134,7 @@ def _run(layout: Layout, state: _State, iterations: int, tolerance: float, exact
             samples = state.here.samples
             pressure = np.zeros_like(samples.cost) if samples.excess is None else state.dual[-1]
             each = (*state[:2], state.here.cost, state.here.parts, np.full(len(ends), number), rests, off, step.multipliers)
-            done.append(jax.tree_util.tree_map(lambda x: x[ends], (*each, pressure)))  # noqa: B023
+            done.append(jax.tree_util.tree_map(lambda x: x[ends], (*each, pressure, state.stretch)))  # noqa: B023
             state, step = jax.tree_util.tree_map(lambda x: x[~ends], (state, step))  # noqa: B023
             if ends.all():
                 break
@@ -138,30 +145,66 @@ def _run(layout: Layout, state: _State, iterations: int, tolerance: float, exact
     return Found(*jax.tree_util.tree_map(lambda x: x[np.argsort(numbers)], rest))
 
 
-def _first(layout: Layout, which: np.ndarray, points: np.ndarray, multipliers: np.ndarray) -> _State:
+def _first(layout: Layout, which: np.ndarray, points: np.ndarray, stretch: np.ndarray, multipliers: np.ndarray) -> _State:
     """The state of the motions `which` at their first control points."""
     count = len(which)
-    here = layout.measured(points, multipliers, which)
-    slack = [np.maximum(d, _ROOM) for d in here.distances]
+    here = layout.measured(points, stretch, multipliers, which)
+    least = lambda d: np.maximum(_ROOM, -d) if layout.problem.haste else _ROOM  # in haste, what is broken would jam
+    slack = [np.maximum(d, least(d)) for d in here.distances]
     barrier = 0.1 * (1e-3 + here.cost) / max(1, sum(s[0].size for s in slack))
     dual = [barrier[:, None, None] / s for s in slack]
     none, grip = np.zeros(count), _GRIP * (1e-3 + here.cost)
     since = none, barrier, none, grip, np.ones(count), np.full(count, np.inf)
-    return _State(which, points, slack, dual, multipliers, *since, here)
+    return _State(which, points, stretch, slack, dual, multipliers, *since, here)
 
 
 def _step(layout: Layout, state: _State) -> _Step:
     """Newton's step, from whose system the slacks and multipliers of the bounds are eliminated."""
     here, equations, columns = state.here, state.here.equations, _system(layout, state)
-    (move,) = in_blocks(_STEP, *columns, fixed=(layout.patterns, layout.mean, layout.fixed), double=True)
-    promise = np.abs(np.sum(move * columns[-1], axis=(1, 2)))
+    solved = lambda *x: in_blocks(_STEP, *x, fixed=(layout.patterns, layout.mean, layout.fixed), double=True)[0]
+    if layout.problem.haste:
+        move, longer, gained = _bordered(layout, state, columns, solved)
+    else:
+        move, longer, gained = solved(*columns), np.zeros(len(state.which)), np.zeros(len(state.which))
+    promise = np.abs(np.sum(move * columns[-1], axis=(1, 2)) + gained)
     if layout.problem.open_end:
         move[:, layout.end + 1 :] = move[:, layout.end : layout.end + 1]
     linear = equations.residual + np.einsum("bjmn,bjn->bjm", equations.slopes, applied(layout.value, move)[:, layout.at])
-    changes = zip(layout.changes(here, move), here.distances, state.slack, strict=True)
+    changes = zip(layout.changes(here, move, longer), here.distances, state.slack, strict=True)
     by_slack, barrier = [change + d - s for change, d, s in changes], state.barrier[:, None, None]
     by_dual = [barrier / s - z - z / s * ds for s, z, ds in zip(state.slack, state.dual, by_slack, strict=True)]
-    return _Step(move, by_slack, by_dual, promise, state.multipliers + layout.stiff * linear)
+    return _Step(move, longer, by_slack, by_dual, promise, state.multipliers + layout.stiff * linear)
+
+
+def _bordered(
+    layout: Layout, state: _State, columns: tuple[np.ndarray, ...], solved: Callable[..., np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The step (b, M, n) and that of the stretch of time (b,), which couples all: the banded system has a row and a column
+    more. And by how much the latter would lower the cost."""
+    here, barrier = state.here, state.barrier[:, None, None]
+    column, corner = np.zeros_like(state.points), np.zeros(len(state.which))
+    pull = np.full(len(corner), -layout.problem.haste)
+    by_load: Any = 0.0
+    for k, (s, z, d, gain) in enumerate(zip(state.slack, state.dual, here.distances, here.gains, strict=True)):
+        stiff = gain * (z / s)
+        corner += np.sum(gain * stiff, axis=(1, 2))
+        pull += np.sum(gain * (barrier / s) - stiff * (d - s), axis=(1, 2))
+        if k < len(layout.bounds):
+            row = layout.problem.rows[layout.bounds[k][0]]
+            if row.order:
+                spread(row.stencil, one_sided(stiff), column)
+        elif (side := layout.of_load(k)) is not None:
+            by_load = by_load + side * stiff
+    if np.ndim(by_load):
+        layout.onto_points(by_load, here.loads.slopes, column)
+    if layout.problem.open_end:
+        column[:, layout.end] = column[:, layout.end :].sum(axis=1)
+    column *= 1.0 - layout.fixed[:, None]
+    both = solved(*(np.concatenate([x, x]) for x in columns[:-1]), np.concatenate([columns[-1], column]))
+    move, along = both[: len(corner)], both[len(corner) :]
+    schur = np.maximum(corner - np.sum(column * along, axis=(1, 2)), 1e-12 * corner) + state.damping * corner
+    longer = (pull - np.sum(column * move, axis=(1, 2))) / schur
+    return move - longer[:, None, None] * along, longer, longer * pull
 
 
 def _system(layout: Layout, state: _State) -> tuple[np.ndarray, ...]:
@@ -179,9 +222,9 @@ def _system(layout: Layout, state: _State) -> tuple[np.ndarray, ...]:
         stiff = z / s
         push = barrier / s - stiff * (d - s)
         if k < len(layout.bounds):
-            i, sign, _ = layout.bounds[k]
-            diagonal[:, : s.shape[1], i] += stiff
-            by_row[i] += sign * push
+            i, _ = layout.bounds[k]
+            diagonal[:, : s.shape[1], i] += stiff[..., : layout.n] + stiff[..., layout.n :]
+            by_row[i] += one_sided(push)
         elif (side := layout.of_load(k)) is not None:
             lifts, heavy = lifts + side * push, heavy + stiff
         else:
@@ -199,10 +242,7 @@ def _system(layout: Layout, state: _State) -> tuple[np.ndarray, ...]:
     spread(layout.value, by_value, right)
     if samples.by_rate is not None:
         spread(layout.rate, -samples.by_rate, right)
-    stencils = layout.value, layout.rate, layout.bend
-    for stencil, slope in zip(stencils, np.moveaxis(here.loads.slopes, 3, 0), strict=True):
-        if slope.size:
-            spread(stencil, np.matmul(lifts[:, :, None], slope)[:, :, 0], right)
+    layout.onto_points(lifts, here.loads.slopes, right)
     if layout.problem.open_end:
         right[:, layout.end] = right[:, layout.end :].sum(axis=1)
     right *= 1.0 - layout.fixed[:, None]
@@ -219,7 +259,10 @@ def _tried(layout: Layout, state: _State, step: _Step) -> _State:
     most = _MOST * (1e-3 + state.here.cost)
     pairs = list(zip(state.dual, step.dual, strict=True))
     dual = [np.clip(along(beta, z, dz), 1e-300, most[:, None, None]) for z, dz in pairs]
-    there = layout.measured(points, step.multipliers, state.which)
+    stretch = state.stretch + alpha * step.stretch
+    there = layout.measured(points, stretch, step.multipliers, state.which)
+    if layout.problem.haste:  # bounds grow faster than their slopes say: that is room
+        slack = [np.maximum(s, d) for s, d in zip(slack, there.distances, strict=True)]
     force = state.force
     for z, dz in pairs:
         force = np.maximum(force, 1.5 * np.minimum((z + dz).max(axis=(1, 2)), most))
@@ -228,7 +271,15 @@ def _tried(layout: Layout, state: _State, step: _Step) -> _State:
     better = after <= before + 1e-9 * (1.0 + np.abs(before))
     kept = np.clip(1.0 - (4.0 * (before - after) / np.maximum(step.promise, 1e-300) - 1.0) ** 3, 0.1, 2.0)
     moved = state._replace(
-        **{"points": points, "slack": slack, "dual": dual, "force": force, "here": there, "share": np.ones_like(alpha)},
+        **{
+            "points": points,
+            "stretch": stretch,
+            "slack": slack,
+            "dual": dual,
+            "force": force,
+            "here": there,
+            "share": np.ones_like(alpha),
+        },
         multipliers=along(alpha, state.multipliers, step.multipliers - state.multipliers),
         damping=np.where(state.damping < 1e-2, 0.0, kept * state.damping),
         barrier=_barrier(state, step, slack, dual),
@@ -242,6 +293,8 @@ def _tried(layout: Layout, state: _State, step: _Step) -> _State:
 def _shares(layout: Layout, state: _State, step: _Step) -> tuple[np.ndarray, np.ndarray]:
     """The shares (b,) of a step that points and slacks may go, and multipliers of bounds."""
     alpha = state.share * _to_bound(state.slack, step.slack, state.damping)
+    if layout.problem.haste:
+        alpha = np.minimum(alpha, 0.5 * state.stretch / np.maximum(-step.stretch, 1e-300))
     if layout.problem.cautious is not None:
         far = (np.abs(step.points) @ layout.problem.cautious).max(axis=1)
         alpha = np.minimum(alpha, 1.0 / np.maximum(far, 1e-300))

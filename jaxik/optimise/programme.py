@@ -17,20 +17,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.optimise.splines import DIFFERENCE, RATE, VALUE, applied
+from jaxik.optimise.splines import DIFFERENCE, RATE, VALUE, applied, spread
 
 FAR = 1e6  # a bound, or a distance, that is as good as none
+_HASTY = 1e3  # times as stiff where it is time that costs
 _STIFF = 1e3  # weight of an equation's square, in units of the quadratic cost's greatest curvature
 
 
 class Rows(NamedTuple):
     """A stencil (k,), applied at all M - k + 1 places: the weight of its square in the cost, a number or one a place, and its
-    bounds, which broadcast to (B, places, n)."""
+    bounds, which broadcast to (B, places, n); of a derivative of such an `order` by time, whose bounds grow with its power."""
 
     stencil: tuple[float, ...]
     weight: Any = 0.0
     low: Any = -np.inf
     high: Any = np.inf
+    order: int = 0
 
     @property
     def weights(self) -> np.ndarray:
@@ -58,6 +60,13 @@ class Loads(NamedTuple):
     value: np.ndarray
     slopes: np.ndarray
 
+    def slower(self, stretch: np.ndarray, rate: np.ndarray, bend: np.ndarray) -> tuple[Loads, np.ndarray]:
+        """The same as functions of rates as they were before time was stretched (B, 1, 1), and by how much they fall (B, S, m)
+        with more of it."""
+        slopes = self.slopes / stretch[..., None, None] ** np.array([0.0, 1.0, 2.0])[:, None]
+        falls = slopes[..., 1, :] * rate[:, :, None] + 2.0 * slopes[..., 2, :] * bend[:, :, None]
+        return Loads(self.value, slopes), falls.sum(axis=3) / stretch
+
 
 class Equations(NamedTuple):
     """Residuals (B, j, m) of equations at some knots, their slopes (B, j, m, n), and the second derivatives of their sum, each
@@ -74,7 +83,8 @@ class Problem:
     the motions `which` (b,), and `equations(q, multipliers, which)`, of values (b, j, n) at the knots `at` and multipliers
     (b, j, count), say what is nonlinear. The first `degree` control points stay; so do the last, or they move as one. A step
     moves no knot by more than `sum_j |dq_j| cautious_j = 1`, where that is given: no further than it can see. `loads(q, rate,
-    bend, which)` are not more than `limit` (B, S, m) in size, of splines of degree 3."""
+    bend, which)` are not more than `limit` (B, S, m) in size, of splines of degree 3. With `haste` above zero each motion has a
+    stretch of time, which costs so much: what it takes in units of the spans' time."""
 
     degree: int
     span: float
@@ -87,11 +97,12 @@ class Problem:
     cautious: np.ndarray | None = None
     loads: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], Loads] | None = None
     limit: np.ndarray | None = None
+    haste: float = 0.0
 
 
 class Measured(NamedTuple):
     """A problem at control points: the rows' values, their parts of the cost, the cost, the distances, equations and loads at
-    knots, and the distances to all bounds."""
+    knots, the distances to all bounds, and by how much these grow with the stretch of time, a number where they do not."""
 
     values: list[np.ndarray]
     parts: np.ndarray
@@ -100,6 +111,7 @@ class Measured(NamedTuple):
     equations: Equations
     loads: Loads
     distances: list[np.ndarray]
+    gains: list[np.ndarray]
 
 
 class Layout:
@@ -120,7 +132,8 @@ class Layout:
         stencils = (self.value, self.rate, self.bend) if problem.loads is not None else ()
         self.moved = np.array([self._pattern(stencil, width) for stencil in stencils]).reshape(-1, self.size, width)
         self.bounds = [bound for i, row in enumerate(problem.rows) for bound in self._bounds(i, row, count)]
-        self.stiff = _STIFF * max(float(np.max(row.weight)) * float(np.dot(row.stencil, row.stencil)) for row in problem.rows)
+        stiffest = max(float(np.max(row.weight)) * float(np.dot(row.stencil, row.stencil)) for row in problem.rows)
+        self.stiff = _STIFF * (_HASTY if problem.haste else 1.0) * stiffest
 
     def _pattern(self, stencil: Any, width: int) -> np.ndarray:
         """The stencil at each place (M, width), of unknowns alone; those that move as one are one."""
@@ -132,51 +145,60 @@ class Layout:
                     found[m, block - m] += a
         return found
 
-    def _bounds(self, i: int, row: Rows, count: int) -> list[tuple[int, float, np.ndarray]]:
-        """Lists the bounds of row i as its number, 1 or -1, and the bound (B, places, n). A row that is known has none, since
-        it has no inside."""
+    def _bounds(self, i: int, row: Rows, count: int) -> list[tuple[int, np.ndarray]]:
+        """Lists the bounds of row i, if it has any: its number, and what its values, `two_sided`, exceed (B, places, 2 n). A
+        row that is known has none, since it has no inside."""
         places = self.size - len(row.stencil) + 1
         unknown = np.any(self.patterns[:places, i], axis=1, keepdims=True)
-        found = []
-        for sign, bound in ((1.0, row.low), (-1.0, row.high)):
-            whole = np.broadcast_to(np.asarray(bound, np.float64), (count, places, self.n))
-            if np.isfinite(whole).any():
-                found.append((i, sign, np.where(unknown, np.clip(whole, -FAR, FAR), -sign * FAR)))
-        return found
+        whole = [np.broadcast_to(np.asarray(x, np.float64), (count, places, self.n)) for x in (row.low, row.high)]
+        if not np.isfinite(whole).any():
+            return []
+        return [(i, np.where(unknown, np.clip(np.concatenate([whole[0], -whole[1]], axis=2), -FAR, FAR), -FAR))]
 
     def no_multipliers(self, count: int) -> np.ndarray:
         """The multipliers at which those of `count` motions begin."""
         return np.zeros((count, len(self.at), self.problem.count))
 
-    def measured(self, points: np.ndarray, multipliers: np.ndarray, which: np.ndarray) -> Measured:
-        """Measures the motions `which` (b,) at control points (b, M, n), with multipliers of the equations (b, j, m)."""
-        problem = self.problem
+    def measured(self, points: np.ndarray, stretch: np.ndarray, multipliers: np.ndarray, which: np.ndarray) -> Measured:
+        """Measures the motions `which` (b,) at control points (b, M, n) and stretches of time (b,), with multipliers of the
+        equations (b, j, m)."""
+        problem, slow = self.problem, stretch[:, None, None]
         values = [applied(row.stencil, points) for row in problem.rows]
         parts = np.stack([np.sum(r.weights * v * v, axis=(1, 2)) for r, v in zip(problem.rows, values, strict=True)], axis=1)
         q = applied(self.value, points)
         rate = applied(self.rate, points)
         samples = problem.samples(q, rate, which)
-        loads = Loads(np.zeros((*q.shape[:2], 0)), np.zeros((*q.shape[:2], 0, 3, self.n)))
-        if problem.loads is not None:
-            loads = problem.loads(q, rate, applied(self.bend, points), which)
         nothing = (np.zeros((len(q), 0, *shape)) for shape in ((0,), (0, self.n), (self.n, self.n)))
         equations = problem.equations(q[:, problem.at], multipliers, which) if problem.equations else Equations(*nothing)
-        distances = [sign * (values[i] - bound[which]) for i, sign, bound in self.bounds]
-        if problem.limit is not None:
-            distances += [problem.limit[which] - loads.value, problem.limit[which] + loads.value]
+        distances, gains = [], []
+        for i, bound in self.bounds:
+            order, most = problem.rows[i].order if problem.haste else 0, bound[which]
+            grows = np.where(np.abs(most) < FAR, -most, 0.0) if order else np.zeros((len(q), 1, 1))
+            distances.append(two_sided(values[i]) - most + (grows * (slow**order - 1.0) if order else 0.0))
+            gains.append(grows * order * slow ** (order - 1) if order else grows)
+        loads = Loads(np.zeros((*q.shape[:2], 0)), np.zeros((*q.shape[:2], 0, 3, self.n)))
+        if problem.loads is not None:
+            bend, falls = applied(self.bend, points), np.zeros((len(q), 1, 1))
+            loads = problem.loads(q, rate / slow, bend / slow**2, which)
+            if problem.haste:
+                loads, falls = loads.slower(slow, rate, bend)
+            if problem.limit is not None:
+                distances += [problem.limit[which] - loads.value, problem.limit[which] + loads.value]
+                gains += [falls, -falls]
         if samples.excess is not None:
             distances.append(np.minimum(samples.excess, FAR))
-        cost = parts.sum(axis=1) + samples.cost.sum(axis=(1, 2))
-        return Measured(values, parts, cost, samples, equations, loads, distances)
+            gains.append(np.zeros((len(q), 1, 1)))
+        cost = parts.sum(axis=1) + samples.cost.sum(axis=(1, 2)) + problem.haste * stretch
+        return Measured(values, parts, cost, samples, equations, loads, distances, gains)
 
-    def changes(self, here: Measured, move: np.ndarray) -> Iterator[np.ndarray]:
-        """Yields the change of each distance to a bound by a step (b, M, n), to first order."""
+    def changes(self, here: Measured, move: np.ndarray, longer: np.ndarray) -> Iterator[np.ndarray]:
+        """Yields the change of each distance to a bound by a step (b, M, n) and more time (b,), to first order."""
         for k in range(len(here.distances)):
+            by_time = here.gains[k] * longer[:, None, None]
             if k < len(self.bounds):
-                i, sign, _ = self.bounds[k]
-                yield sign * applied(self.problem.rows[i].stencil, move)
+                yield by_time + two_sided(applied(self.problem.rows[self.bounds[k][0]].stencil, move))
             elif (side := self.of_load(k)) is not None:
-                yield side * sum(
+                yield by_time + side * sum(
                     np.matmul(here.loads.slopes[:, :, :, i], applied(stencil, move)[..., None])[..., 0]
                     for i, stencil in enumerate((self.value, self.rate, self.bend))
                 )
@@ -198,6 +220,12 @@ class Layout:
             levers[:, :knots], weights[:, :knots] = window.reshape(count, knots, m, -1), heavy
         return levers, weights
 
+    def onto_points(self, pull: np.ndarray, slopes: np.ndarray, onto: np.ndarray) -> None:
+        """Adds what loads pull (b, S, m) by their slopes (b, S, m, 3, n) onto control points (b, M, n)."""
+        for stencil, slope in zip((self.value, self.rate, self.bend), np.moveaxis(slopes, 3, 0), strict=True):
+            if slope.size:
+                spread(stencil, np.matmul(pull[:, :, None], slope)[:, :, 0], onto)
+
     def squares(self, slopes: np.ndarray, weights: np.ndarray, equations: Equations) -> tuple[np.ndarray, np.ndarray]:
         """Slopes (b, M, r, n) and weights (b, M, r) whose squares are the second derivatives: at the knots of equations all of
         them that are positive, the equations' own among them."""
@@ -215,3 +243,14 @@ class Layout:
             all_slopes[:, at], all_weights[:, at] = 0.0, 0.0
             all_slopes[:, at, :n], all_weights[:, at, :n] = np.moveaxis(vectors, -1, -2), np.maximum(values, 0.0)
         return all_slopes, all_weights
+
+
+def two_sided(values: np.ndarray) -> np.ndarray:
+    """The values (..., n) and their opposites (..., 2 n): of what has a lower and an upper bound."""
+    return np.concatenate([values, -values], axis=-1)
+
+
+def one_sided(pushes: np.ndarray) -> np.ndarray:
+    """The pushes on values (..., n) by those of their two sides (..., 2 n)."""
+    n = pushes.shape[-1] // 2
+    return pushes[..., :n] - pushes[..., n:]

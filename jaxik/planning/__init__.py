@@ -1,6 +1,10 @@
 """Motions from posture to posture: paths through the space of joints, free of collision, and their timing."""
 
-from jaxik.planning.planner import PlanOptions, PlanResult, plan_motion
+from jaxik.planning.plan_result import PlanResult
+from jaxik.planning.planner import PlanOptions, plan_motion
+from jaxik.planning.roadmap import Roadmap, RoadmapOptions, build_roadmap
+from jaxik.planning.roadmap_file import load_roadmap, save_roadmap
+from jaxik.planning.roadmap_query import QueryOptions
 from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.planning.trajectory_files import load_trajectory, save_trajectory
@@ -11,12 +15,18 @@ __all__ = [
     "JointPath",
     "PlanOptions",
     "PlanResult",
+    "QueryOptions",
+    "Roadmap",
+    "RoadmapOptions",
     "Trajectory",
     "TrajectoryOptions",
     "TrajectoryResult",
+    "build_roadmap",
+    "load_roadmap",
     "load_trajectory",
     "optimise_trajectory",
     "plan_motion",
+    "save_roadmap",
     "save_trajectory",
     "time_path",
     "trajectory_cost",

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import numpy as np
 
-from jaxik.collision.bvh import grouped
+from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.clearances import by_object, collides
-from jaxik.collision.continuous_collision import joint_reaches, motion_collides, size_of
-from jaxik.collision.own_shape import by_volumes, shape_of
-from jaxik.collision.scene import Scene, remembered
-from jaxik.kinematics.joint_turns import endless, whole_turns
+from jaxik.collision.continuous_collision import joint_reaches, motion_collides
+from jaxik.collision.own_shape import by_volumes
+from jaxik.collision.scene import Scene
+from jaxik.kinematics.joint_turns import endless, whole_turns, wound
 from jaxik.kinematics.robot import Robot
-from jaxik.kinematics.shapes import Volume
+from jaxik.planning.world import Carried, World, apart, by_lane, in_world, together
 from jaxik.reasons import Reason
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
-from jaxik.spmd.packed import Packed, packed, unpacked
 
 RESOLUTION = 1e-3  # [m] by which a motion must keep more than its margin to be proven free
 PIECE = 0.1  # [m] of a motion that are proven at once
@@ -31,46 +29,64 @@ class CollisionChecker:
     """Checks one robot in one scene, with `margin` [m]; samples keep a `cushion` [m] more, so that what looks free mostly is.
     Rows of configurations are NumPy arrays (b, n).
 
+    Several scenes have the same kinds of obstacles, or none of some: each row is then `among` what is in the scene of such a
+    number (b,).
+
     `weights` (n,) are the most that a joint's unit moves the robot [m], by which distances between configurations are measured.
+    `lower` and `upper` (n,) are the robot's limits, and those of `winding` [rad] for joints without any, if it is told.
     `checked` counts the configurations that were checked. Volumes of the robot that are JAX arrays are operands of its kernels:
     one serves all that an arm carries, if it has as many volumes."""
 
-    def __init__(self, robot: Robot, scene: Scene | None, margin: float, cushion: float = 0.0):
-        self.robot, self.carried = _apart(robot)
+    def __init__(
+        self,
+        robot: Robot,
+        scene: Scene | Sequence[Scene] | None,
+        margin: float,
+        cushion: float = 0.0,
+        winding: float | None = None,
+    ):
+        self.world = World(robot, scene)
+        self.volumes = World(by_volumes(robot), scene) if robot.surfaces else None
+        self.robot = self.world.robot
         self.margin, self.cushion = np.float32(margin), np.float32(cushion)
-        self.obstacles, self.size = _surroundings(scene, robot)
-        self.model = (by_volumes(self.robot), _surroundings(scene, by_volumes(robot))[0]) if robot.surfaces else None
         self.endless = endless(robot)
-        self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, robot) if self.carried else robot)
+        self.lower, self.upper = wound(robot, winding)
+        self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, robot) if self.world.body.carried else robot)
         self.checked = 0
 
     def length(self, moved: np.ndarray) -> np.ndarray:
         """The length of differences (..., n) between configurations [m]."""
         return np.linalg.norm(moved * self.weights, axis=-1)
 
-    def hits(self, q: np.ndarray, cushion: Any = 0.0) -> np.ndarray:
+    def hits(self, q: np.ndarray, cushion: Any = 0.0, among: np.ndarray | None = None) -> np.ndarray:
         """Whether configurations (b, n) come nearer than the margin and a cushion [m] beyond it, one or one each (b,)."""
         self.checked += len(q)
-        margin, turned = self.margin + np.asarray(cushion, np.float32), q - whole_turns(self.endless, q)
-        margins = np.broadcast_to(margin, len(q))
-        asked = lambda robot, around, rows: in_blocks(
-            _hits(robot), turned[rows], margins[rows], fixed=(around, self.carried), double=False
-        )[0]
-        return self._first_by_volumes(asked)
+        turned = q - whole_turns(self.endless, q)
+        margins = np.broadcast_to(self.margin + np.asarray(cushion, np.float32), len(q))
+        return self._first_by_volumes(
+            among, len(q), lambda world, rows, at: world.each(_hits, turned[rows], margins[rows], among=at)
+        )
 
-    def free_part(self, start: np.ndarray, end: np.ndarray, step: float) -> np.ndarray:
+    def free_part(self, start: np.ndarray, end: np.ndarray, step: float, among: np.ndarray | None = None) -> np.ndarray:
         """The part (b,) of each straight motion before its first sample that hits, with samples every `step` [m]; 1 is all."""
         counts = np.maximum(1, np.ceil(self.length(end - start) / step)).astype(int)
         row = np.repeat(np.arange(len(start)), counts)
         number = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts) + 1
         q = start[row] + (number / counts[row])[:, None] * (end - start)[row]
-        hit = np.flatnonzero(self.hits(q, self.cushion))
+        hit = np.flatnonzero(self.hits(q, self.cushion, _of(among, row)))
         part = np.ones(len(start))
         rows, first = np.unique(row[hit], return_index=True)
         part[rows] = (number[hit[first]] - 1) / counts[rows]
         return part
 
-    def proven(self, start: np.ndarray, end: np.ndarray, extra: Any = 0.0, resolution: float = RESOLUTION) -> np.ndarray:
+    def proven(
+        self,
+        start: np.ndarray,
+        end: np.ndarray,
+        extra: Any = 0.0,
+        resolution: float = RESOLUTION,
+        among: np.ndarray | None = None,
+    ) -> np.ndarray:
         """Whether straight motions are proven to keep the margin, and `extra` (b,) [m] beyond it, throughout: piece by piece,
         which lanes share better than whole motions."""
         if not len(start):
@@ -82,79 +98,55 @@ class CollisionChecker:
         row, number = np.repeat(np.arange(len(start)), counts), np.arange(counts.sum()) - np.repeat(first, counts)
         at = lambda k: start[row] + (k / counts[row])[:, None] * (end - start)[row]
         margins = np.broadcast_to(self.margin + np.asarray(extra, np.float32), len(start))[row]
-        begin, finish = at(number), at(number + 1)
+        begin, finish, fixed = at(number), at(number + 1), (np.float32(resolution),)
 
-        def asked(robot: Robot, around: Any, rows: Any) -> np.ndarray:
-            fixed = np.float32(resolution), self.size, around, self.carried
-            return in_blocks(_moves(robot), begin[rows], finish[rows], margins[rows], fixed=fixed, double=False)[0]
+        def asked(world: World, rows: Any, at: np.ndarray | None) -> np.ndarray:
+            columns = begin[rows], finish[rows], margins[rows]
+            return world.each(_moves, *columns, among=at, sized=True, shared=fixed)
 
-        hit = self._first_by_volumes(asked)
-        return ~np.logical_or.reduceat(hit, first)
+        return ~np.logical_or.reduceat(self._first_by_volumes(_of(among, row), len(row), asked), first)
 
-    def _first_by_volumes(self, asked: Callable[[Robot, Any, Any], np.ndarray]) -> np.ndarray:
-        """Whether rows hit, by `asked`, which takes a robot, its obstacles, and some of the rows: for an exact robot first by
+    def _first_by_volumes(
+        self, among: np.ndarray | None, count: int, asked: Callable[[World, Any, np.ndarray | None], np.ndarray]
+    ) -> np.ndarray:
+        """Whether rows hit, by `asked`, which takes a world, some rows, and what they are among: for an exact robot first by
         its volumes and convex parts, which hold its surfaces, and then only for those that hit by these."""
-        if self.model is None:
-            return asked(self.robot, self.obstacles, slice(None))
-        found = asked(*self.model, slice(None)).copy()
+        if self.volumes is None:
+            return asked(self.world, slice(None), among)
+        found = asked(self.volumes, slice(None), among)
         left = np.flatnonzero(found)
         if len(left):
-            found[left] = asked(self.robot, self.obstacles, left)
+            found[left] = asked(self.world, left, _of(among, left))
         return found
 
-    def proven_closely(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    def proven_closely(self, start: np.ndarray, end: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
         """`proven`, with a closer look at those that are not: a way may begin hardly beyond the margin."""
-        found = self.proven(start, end)
+        found = self.proven(start, end, among=among)
         left = np.flatnonzero(~found)
-        found[left] = self.proven(start[left], end[left], resolution=CLOSE)
+        found[left] = self.proven(start[left], end[left], resolution=CLOSE, among=_of(among, left))
         return found
+
+
+def _of(among: np.ndarray | None, rows: np.ndarray) -> np.ndarray | None:
+    return None if among is None else among[rows]
 
 
 def touched(robot: Robot, scene: Scene, q: np.ndarray, margin: float) -> np.ndarray:
     """Whether each configuration (b, n) is nearer to each object of the scene than the margin (b, objects)."""
-    alone, carried = _apart(robot)
+    alone, carried = apart(robot)
     fixed = jax.tree_util.tree_map(np.asarray, grouped(scene, robot, by_object=True)), carried
     return in_blocks(_objects(alone, len(scene.object_names)), q, fixed=fixed, double=False)[0] < margin
 
 
-def judged(robot: Robot, space: CollisionChecker | None, postures: np.ndarray) -> np.ndarray:
+def judged(robot: Robot, space: CollisionChecker | None, postures: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
     """The reason of each posture (b, n), LIMITS before COLLISION, which is known in a `space` alone; at the limits what float32
     makes of them counts as inside."""
+    lower, upper = (robot.lower, robot.upper) if space is None else (space.lower, space.upper)
     near = 1e-6 * (1.0 + np.abs(postures))
-    inside = ((postures >= robot.lower - near) & (postures <= robot.upper + near)).all(axis=1)
-    hits = np.zeros(len(postures), bool) if space is None else space.hits(postures)
+    inside = ((postures >= lower - near) & (postures <= upper + near)).all(axis=1)
+    hits = np.zeros(len(postures), bool) if space is None else space.hits(postures, among=among)
     reason = np.where(~inside, Reason.LIMITS, np.where(hits, Reason.COLLISION, Reason.SOLVED))
     return np.where(np.isfinite(postures).all(axis=1), reason, Reason.INVALID)
-
-
-Carried = dict[int, Volume]
-
-
-def _surroundings(scene: Scene | None, robot: Robot) -> tuple[Packed, np.float32]:
-    """Packs what surrounds a robot, as its kernels take it, and says how large the numbers of the scene are [m]."""
-    make = lambda: (packed(grouped(scene, robot), np.float32), np.float32(size_of(scene)))
-    if scene is None or not scene.concrete:
-        return make()
-    return remembered(scene, ("packed", shape_of(robot), bool(robot.surfaces), robot.ignored), make)
-
-
-def _apart(robot: Robot) -> tuple[Robot, Carried]:
-    """The robot without the numbers of those of its volumes that are JAX arrays, and these by their place."""
-    carried = {i: v for i, v in enumerate(robot.volumes) if isinstance(v.corners, jax.Array)}
-    without = lambda v: dataclasses.replace(v, corners=np.zeros(v.corners.shape), radius=np.zeros(()))
-    volumes = tuple(without(v) if i in carried else v for i, v in enumerate(robot.volumes))
-    return (dataclasses.replace(robot, volumes=volumes) if carried else robot), carried
-
-
-def together(robot: Robot, carried: Carried) -> Robot:
-    """The robot with what it carries. Traced."""
-    volumes = tuple(carried.get(i, v) for i, v in enumerate(robot.volumes))
-    return dataclasses.replace(robot, volumes=volumes) if carried else robot
-
-
-@host_kernels(2)
-def _hits(robot: Robot, q: Any, margin: Any, obstacles: Any, carried: Carried) -> Any:
-    return collides(together(robot, carried), unpacked(obstacles), q, margin=margin)
 
 
 @host_kernels(1)
@@ -162,8 +154,12 @@ def _objects(robot: Robot, count: int, q: Any, obstacles: Any, carried: Carried)
     return by_object(together(robot, carried), count, obstacles, q)
 
 
-@host_kernels(3)
-def _moves(
-    robot: Robot, start: Any, end: Any, margin: Any, resolution: Any, size: Any, obstacles: Any, carried: Carried
-) -> Any:
-    return motion_collides(together(robot, carried), start, end, margin, resolution, size, unpacked(obstacles))
+@in_world(2)
+def _hits(robot: Robot, obstacles: Grouped, q: Any, margin: Any) -> Any:
+    return by_lane(lambda me: collides(robot, obstacles, q[:, me], margin=margin[me]))
+
+
+@in_world(4)
+def _moves(robot: Robot, obstacles: Grouped, start: Any, end: Any, margin: Any, size: Any, resolution: Any) -> Any:
+    asked = lambda me: motion_collides(robot, start[:, me], end[:, me], margin[me], resolution, size, obstacles)
+    return by_lane(asked)

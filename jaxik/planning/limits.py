@@ -132,12 +132,12 @@ def forces(limits: Drives, curve: np.ndarray, lengths: np.ndarray, parts: int) -
     share = (np.arange(parts)[:, None] + WITHIN) / parts
     s = lengths[:, :, None, None] * share
     q, slope, bend = along_pieces(curve[:, :, None, None], s)
-    found = _along(limits, q, slope, bend)
+    found = along(limits, q, slope, bend)
     return Forces(*(x.reshape(count, k * parts, len(WITHIN), n) for x in (*found, slope)))
 
 
-def _along(limits: Drives, *states: np.ndarray) -> list[np.ndarray]:
-    """`_forces` of states (..., n), each as large."""
+def along(limits: Drives, *states: np.ndarray) -> list[np.ndarray]:
+    """The factors of u and of x, and what holds the arm still, by states q, q' and q'' (..., n), each as large."""
     flat = (x.reshape(-1, x.shape[-1]) for x in states)
     return [x.reshape(states[0].shape) for x in in_blocks(_forces(limits.robot), *flat, fixed=(limits.gravity,), double=True)]
 
@@ -206,7 +206,7 @@ def weakest(limits: Drives, given: Forces, parts: int) -> str:
     still = np.abs(given.still[0])
     part, joint = np.unravel_index(np.argmax(still.max(axis=1) / limits.torque), (len(still), still.shape[2]))
     moment = int(np.argmax(still[part, :, joint]))
-    need, place = still[part, moment, joint] + _bend(given.still)[0, part, joint], (part + WITHIN[moment]) / parts
+    need, place = still[part, moment, joint] + off_chords(given.still)[0, part, joint], (part + WITHIN[moment]) / parts
     name, unit = limits.robot.joint_names[joint], "N" if limits.robot.is_prismatic[joint] else "Nm"
     return f"{name} needs {need:.4g} {unit} at waypoint {place:.3g} to stand still; the limit is {limits.torque[joint]:.4g}"
 
@@ -215,7 +215,7 @@ def holds(limits: Drives, q: np.ndarray) -> np.ndarray:
     """Whether the drives hold the arm still in each posture (b, n)."""
     if not np.isfinite(limits.torque).any():
         return np.ones(len(q), bool)
-    still = _along(limits, q, np.zeros_like(q), np.zeros_like(q))[2]
+    still = along(limits, q, np.zeros_like(q), np.zeros_like(q))[2]
     return (np.abs(still) < limits.torque).all(axis=1)
 
 
@@ -240,12 +240,12 @@ def left(given: Forces, limits: Drives, squares: np.ndarray, step: np.ndarray) -
 def _beyond(values: np.ndarray) -> np.ndarray:
     """The amount (N, parts, n) by which values (N, parts, w, n), and those between them, exceed both ends."""
     size = np.abs(values)
-    return np.maximum(size.max(axis=2) - np.maximum(size[:, :, 0], size[:, :, -1]), 0.0) + _bend(values)
+    return np.maximum(size.max(axis=2) - np.maximum(size[:, :, 0], size[:, :, -1]), 0.0) + off_chords(values)
 
 
-def _bend(values: np.ndarray) -> np.ndarray:
-    """The most (N, parts, n) that a curve may be off its chords."""
-    return np.abs(np.diff(values, 2, axis=2)).max(axis=2) / 8.0
+def off_chords(values: np.ndarray) -> np.ndarray:
+    """The most (..., n) that a curve through values (..., w, n) may be off its chords."""
+    return np.abs(np.diff(values, 2, axis=-2)).max(axis=-2) / 8.0
 
 
 def slowdown(given: Forces, limits: Drives, squares: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -257,7 +257,7 @@ def slowdown(given: Forces, limits: Drives, squares: np.ndarray, step: np.ndarra
 def least_time(limits: Drives, q: np.ndarray, rate: np.ndarray, bend: np.ndarray) -> np.ndarray:
     """The factor (N,) by which motions through states (N, k, n) last longer within the limits; NaN where the arm cannot be
     held."""
-    _, moving, still = _along(limits, q, rate, bend)
+    _, moving, still = along(limits, q, rate, bend)
     with np.errstate(divide="ignore", invalid="ignore"):
         room = np.nan_to_num(np.maximum(moving / (limits.torque - still), -moving / (limits.torque + still)))
     times = np.maximum(np.sqrt(np.maximum(room, 0.0).max(axis=(1, 2))), 1e-9)
@@ -271,7 +271,7 @@ def _share(limits: Drives, moving: np.ndarray, rate: np.ndarray, still: np.ndarr
     may be above them between the moments."""
     for y in SLOWER:
         torque = moving * y**2 + still
-        used = [np.abs(x).max(axis=1) + _bend(x[None])[0] for x in (torque, torque * rate * y)]
+        used = [np.abs(x).max(axis=1) + off_chords(x) for x in (torque, torque * rate * y)]
         if all((x <= most).all() for x, most in zip(used, (limits.torque, limits.power), strict=True)):
             return float(y)
     return np.nan

@@ -15,13 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from jaxik.collision.bvh import Grouped
 from jaxik.collision.clearances import first_to_collide
 from jaxik.kinematics.robot import Robot
-from jaxik.planning.collision_checker import Carried, CollisionChecker, together
-from jaxik.spmd import TEAM, team
-from jaxik.spmd.batch import in_blocks
-from jaxik.spmd.host import host_kernels
-from jaxik.spmd.packed import unpacked
+from jaxik.planning.collision_checker import CollisionChecker
+from jaxik.planning.world import in_world
+from jaxik.spmd import TEAM
 from jaxik.spmd.scalarise import KEPT
 from jaxik.spmd.trace import TEAM_SIZE
 
@@ -79,7 +78,7 @@ class Places:
 
 
 def chains(
-    space: CollisionChecker, places: Sequence[Places], step: float, cushion: np.ndarray
+    space: CollisionChecker, places: Sequence[Places], step: float, cushion: np.ndarray, among: np.ndarray
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """The numbers (k,) of the places of each shortest chain of lines that are free by samples, every `step` [m] and with a
     `cushion` (b,) [m] beyond the margin; none where there is none. And how many configurations were looked at for each (b,)."""
@@ -90,8 +89,8 @@ def chains(
     blocks = lambda x: x.reshape(*x.shape[:-1], BLOCKS, TEAM_SIZE)
     reach = np.stack([np.full(len(places), step), space.margin + cushion], axis=1).astype(np.float32)
     rows = blocks(points), count, blocks(np.stack([each.lines for each in places])), reach
-    fixed = np.asarray(space.weights, np.float32), space.obstacles, space.carried
-    before, lines, length, looked = in_blocks(shortest(space.robot), *rows, size=1, fixed=fixed, double=False)
+    shared = (np.asarray(space.weights, np.float32),)
+    before, lines, length, looked = space.world.run(shortest, *rows, among=among, shared=shared)
     found = []
     for i, each in enumerate(places):
         each.lines, chain = lines[i].reshape(PLACES, PLACES), [int(count[i]) - 1]
@@ -101,34 +100,30 @@ def chains(
     return found, TEAM_SIZE * looked
 
 
-@host_kernels(4)
+@in_world(4)
 def shortest(
-    robot: Robot, points: Any, count: Any, lines: Any, reach: Any, weights: Any, obstacles: Any, carried: Carried
+    robot: Robot, obstacles: Grouped, points: Any, count: Any, lines: Any, reach: Any, weights: Any
 ) -> tuple[Any, Any, Any, Any]:
     """The place before each (places,) in the shortest chain from the first of `count` points (n, blocks, 16) to the last of
     which all lines are free, by samples; what is then known of the `lines` (places, blocks, 16), to each from each; the length
     of the chain, infinite where there is none; and how many sixteens of samples were looked at. `reach` (2,) is how far apart
     samples are, and by how much they keep away from what is around [m]; `weights` (n,) are those of lengths."""
+    room = jnp.zeros((max(1, 3 - len(points)), *points.shape[1:]), points.dtype)
+    none = jnp.int32(0)
+    first = Chain(jnp.concatenate([points, room]), lines, count - 1, none, none, jnp.bool_(False))
+    search = _Lazy(robot, count, reach[0], reach[1], weights, obstacles)
+    first = first._replace(places=search.distances(first.places, lines, jnp.int32(1)))
+    chain = lax.while_loop(lambda c: ~c.done, search.turn, first)
+    length = search.distance(chain.places, count - 1)
+    before = jnp.zeros(PLACES + KEPT, jnp.int32)  # so many that it is written in place
 
-    def lane(points: Any, count: Any, lines: Any, reach: Any, weights: Any, obstacles: Any, carried: Carried) -> Any:
-        room = jnp.zeros((max(1, 3 - len(points)), *points.shape[1:]), points.dtype)
-        none = jnp.int32(0)
-        first = Chain(jnp.concatenate([points, room]), lines, count - 1, none, none, jnp.bool_(False))
-        search = _Lazy(together(robot, carried), count, reach[0], reach[1], weights, unpacked(obstacles))
-        first = first._replace(places=search.distances(first.places, lines, jnp.int32(1)))
-        chain = lax.while_loop(lambda c: ~c.done, search.turn, first)
-        length = search.distance(chain.places, count - 1)
-        before = jnp.zeros(PLACES + KEPT, jnp.int32)  # so many that it is written in place
+    def step(state: Any) -> Any:
+        k, before = state
+        i, _ = search.best(chain.places, chain.lines, k)
+        return i, before.at[k].set(i)
 
-        def step(state: Any) -> Any:
-            k, before = state
-            i, _ = search.best(chain.places, chain.lines, k)
-            return i, before.at[k].set(i)
-
-        begin = jnp.where(length < jnp.inf, count - 1, 0)
-        return lax.while_loop(lambda state: state[0] > 0, step, (begin, before))[1], chain.lines, length, chain.looked
-
-    return team(lane)(points, count, lines, reach, weights, obstacles, carried)
+    begin = jnp.where(length < jnp.inf, count - 1, 0)
+    return lax.while_loop(lambda state: state[0] > 0, step, (begin, before))[1], chain.lines, length, chain.looked
 
 
 class _Lazy:

@@ -1,7 +1,7 @@
 """Ways through the space of joints, and their timing.
 
 A `JointPath` says where: polynomials q(s), piece by piece. A `Trajectory` says when: s over time t, whose second derivative is
-constant between neighbouring instants, so that
+constant between neighbouring instants, or linear where the jerk is limited, so that
 
     qdot = q' sdot,   qddot = q'' sdot^2 + q' sddot
 
@@ -77,6 +77,9 @@ class Trajectory(Result):
     between these moments the speed is linear in time. Each piece of the path has as many of them as the others. `joint_names`
     are those of the robot, none where it is not known.
 
+    Where the jerk is limited there is an `acceleration` (m,) [1/s2] of the way as well, which is linear in time between the
+    moments, and these are independent of the pieces; else it is None.
+
     Its `reason` is SOLVED; INVALID where the path holds NaN; LIMITS where the drives cannot hold the arm still on its way, or
     the limits let nothing move: it does not end, then. Each of a stack has its own.
     """
@@ -86,6 +89,7 @@ class Trajectory(Result):
     place: Float[Array, "*batch m"]
     speed: Float[Array, "*batch m"]
     joint_names: tuple[str, ...] = static(default=())
+    acceleration: Float[Array, "*batch m"] | None = None
     ROW: ClassVar = "motion"
     HELP: ClassVar = _ENDLESS
 
@@ -185,11 +189,20 @@ def _state(xp: Any, moved: Any, t: Any) -> tuple[Any, Any, Any]:
     last = len(time) - 2
     i = xp.clip(xp.searchsorted(time, t, side="right") - 1, 0, last)
     length, since = time[i + 1] - time[i], xp.clip(t, time[0], time[-1]) - time[i]
-    rate = xp.where(length > 0.0, (speed[i + 1] - speed[i]) / xp.where(length > 0.0, length, 1.0), 0.0)
-    way = place[i] + (speed[i] + 0.5 * rate * since) * since
-    piece = i // ((last + 1) // len(moved.path.lengths))  # by number: at a corner the way itself, rounded, is in either
-    q, slope, bend = _within(xp, moved.path, piece, way)
-    now, rate = (xp.where((t < time[0]) | (t > time[-1]), 0.0, x)[..., None] for x in (speed[i] + rate * since, rate))
+    change = lambda x: xp.where(length > 0.0, (x[i + 1] - x[i]) / xp.where(length > 0.0, length, 1.0), 0.0)
+    if moved.acceleration is None:
+        rate = change(speed)
+        way = place[i] + (speed[i] + 0.5 * rate * since) * since
+        now = speed[i] + rate * since
+        piece = i // ((last + 1) // len(moved.path.lengths))  # by number: at a corner the way itself, rounded, is in either
+        q, slope, bend = _within(xp, moved.path, piece, way)
+    else:
+        first = xp.asarray(moved.acceleration)
+        jerk, first = change(first), first[i]
+        way = place[i] + (speed[i] + (0.5 * first + jerk * since / 6.0) * since) * since
+        now, rate = speed[i] + (first + 0.5 * jerk * since) * since, first + jerk * since
+        q, slope, bend = _along(xp, moved.path, way)  # either piece: at a corner it is at rest
+    now, rate = (xp.where((t < time[0]) | (t > time[-1]), 0.0, x)[..., None] for x in (now, rate))
     return q, slope * now, bend * now**2 + slope * rate
 
 

@@ -1,4 +1,4 @@
-"""The best motion rather than any: a trajectory whose cost is least among those that keep clear, from start to goal.
+"""The best motion rather than any: the fastest one, or in a given time the one that costs least, among those that keep clear.
 
 The direct method of Schuetz 2017, ch. 6, and what it leaves open. Its motion is a spline with control points in equal time
 steps (`optimise.splines`); its cost is
@@ -7,7 +7,8 @@ steps (`optimise.splines`); its cost is
 
 Its conditions are start and end (6.9), via points, and the joints' limits (6.10), of acceleration and jerk, too. Obstacles cost
 something (6.7), or the arm keeps a margin to them. Samples can jump a thin stem: so what is returned is proven free between
-them, and where it is not, it is mended with wider margins and finer steps, or begun again from a planner's path.
+them, and where it is not, it is mended with wider margins and finer steps, or begun again from a planner's path. A motion whose
+time is free begins from one (`hastening`).
 """
 
 from __future__ import annotations
@@ -29,9 +30,13 @@ from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
 from jaxik.optimise import splines
-from jaxik.planning.planner import HELP, ends, turned
+from jaxik.planning.limits import Limits
+from jaxik.planning.motion_ends import ends, turned
+from jaxik.planning.plan_result import HELP
+from jaxik.planning.planned_ways import soonest
 from jaxik.planning.trajectory import JointPath, Trajectory, along_pieces
-from jaxik.planning.trajectory_search import Search, Solved, finer
+from jaxik.planning.trajectory_judge import finer
+from jaxik.planning.trajectory_search import Search, Solved
 from jaxik.planning.trajectory_terms import Target, TrajectoryOptions, at_knot, told_apart
 from jaxik.reasons import Reason
 from jaxik.results import Result, by_row
@@ -43,9 +48,11 @@ class TrajectoryResult(Result):
     """The motion of least cost; many motions have a leading axis. The numbers of one that was not found are NaN.
 
     where: "start" or "goal" where one of them is refused, else "".
-    cost, parts (4,): the integral that was minimised, and its parts by velocity, acceleration, jerk and collision.
+    cost, parts (4,): the integral that was minimised, and its parts by velocity, acceleration, jerk and collision; of the
+        fastest motion the time of its spline [s], and a thousandth of what these cost were it over in a second.
     iterations: of the solver, with few spans and with all.
-    converged: whether the solver came to rest; a motion that is free and inside its limits is kept even if it did not.
+    converged: whether the solver came to rest; a motion that is free and inside its limits is kept even if it did not, and the
+        planner's where it is the fastest that is proven.
     multipliers (j, m), pressure (spans + 1, l): the cost's slopes by the targets, and by the margins.
     """
 
@@ -78,11 +85,13 @@ def optimise_trajectory(
     progress: Callable[[int, int], Any] | None = None,
     **changes: Any,
 ) -> TrajectoryResult:
-    """The motion of least cost from `start` to `goal`, at rest at both, that keeps clear and inside the limits. Host driver.
+    """The best motion from `start` to `goal`, at rest at both, that keeps clear and inside the limits: the fastest, or of a
+    given `duration` that of least cost. Host driver.
 
     `start`, `goal` and batches of them are those of `plan_motion`: configurations, of several the one that costs least, or
     poses `base_T_tip` [m], whose posture is free, and is optimised, too. `guess` (k, n) or (b, k, n) are configurations in
-    equal times, from which to begin; without one, straight lines to several postures are compared. A joint without limits
+    equal times, from which to begin; without one, the fastest motion begins as the planner's, than which it is no slower, and
+    for one of least cost straight lines to several postures are compared. A joint without limits
     takes the shorter turn to the goal, or that of the guess. `via` are pairs of a share of the duration, of which the nearest
     end of one of the `spans` is meant, and a pose that the tip has there. `seed` decides among postures and in the planner.
     `progress` is called with the motions that are solved or refused, and the number of all. `changes` are fields of
@@ -145,29 +154,36 @@ def _guess(robot: Robot, guess: Any, count: int) -> np.ndarray | None:
 
 
 def _packed(search: Search, kept: list[Solved]) -> TrajectoryResult:
-    """Packs the motions, a row a problem, all over as many spans as the finest needs."""
-    terms, options, reason = search.terms, search.options, search.reason
+    """Packs the motions, a row a problem, all over as many spans: as the finest needs, or with a free time as it may."""
+    options, reason, free = search.options, search.reason, search.options.duration is None
     count, n, degree = len(search.starts), search.robot.num_joints, options.degree
-    kept = [(rows, found) for rows, found in kept if len(rows)]
-    spans = max([options.spans, *(found.points.shape[1] - degree for _, found in kept)])
+    kept = [each for each in kept if len(each.rows)]
+    spans = max([search.pieces if options.hastens else options.spans, *(each.found.points.shape[1] - degree for each in kept)])
     points, cost, parts = np.full((count, spans + degree, n), np.nan), np.full(count, np.nan), np.full((count, 4), np.nan)
     iterations, converged = np.zeros(count, int), np.zeros(count, bool)
     size = max((sum(target.task.bound) for target in search.targets), default=0)
     multipliers = np.zeros((count, len(search.targets), size))
-    pressure = np.zeros((count, spans + 1, kept[0][1].pressure.shape[2] if kept else 0))
-    for rows, found in kept:
+    pressure = np.zeros((count, spans + 1, kept[0].found.pressure.shape[2] if kept else 0))
+    for rows, found, fastest in kept:
         while found.points.shape[1] - degree < spans:
             found = finer(found, degree)
         points[rows], cost[rows], iterations[rows], converged[rows] = found[0], found[1], found[3], found[4]
+        orders = (search.fast if fastest else search.terms).orders
         parts[rows] = 0.0
-        parts[rows[:, None], [order - 1 for order in terms.orders]] = found.parts[:, 1:]
-        parts[rows, 3] = found.cost - found.parts.sum(axis=1)
+        parts[rows[:, None], [order - 1 for order in orders]] = found.parts[:, 1:]
+        parts[rows, 3] = found.cost - found.parts.sum(axis=1) - fastest * found.stretch
         multipliers[rows] = found.multipliers
         pressure[rows] = found.pressure
-    duration = np.full(count, terms.duration) if options.duration is not None else search.judge.shortest(points, spans)
+    duration = search.judge.shortest(points, spans) if free else np.full(count, search.terms.duration)
     weak = np.isnan(duration) & ~np.isnan(cost)  # the drives cannot hold the arm on the way
     reason[weak], points[weak] = int(Reason.LIMITS), np.nan
     trajectory = _timed(points, degree, duration, search.robot.joint_names)
+    if search.retimed and count:
+        trajectory, planned = soonest(
+            search.ways, trajectory, Limits(search.fast.velocity, search.fast.acceleration), search.robot
+        )
+        cost[planned], parts[planned], converged[planned] = trajectory.duration[planned], 0.0, False
+        multipliers[planned], pressure[planned] = 0.0, 0.0
     return TrajectoryResult(reason, tuple(search.where), trajectory, cost, parts, iterations, converged, multipliers, pressure)
 
 
@@ -221,7 +237,7 @@ def trajectory_cost(
         raise ValueError(f"trajectory_cost: {len(asked)} poses, {found.multipliers.shape[0]} when it was found; give the same")
     end, *_ = along_pieces(curve[-1], jnp.asarray(found.trajectory.path.lengths[-1]))
     q = jnp.concatenate([curve[:, 3], end[None]])
-    total = jnp.asarray(np.sum(found.parts[:3]), q.dtype) + _collision_cost(robot, scene, q, options)
+    total = jnp.asarray(found.cost - found.parts[3], q.dtype) + _collision_cost(robot, scene, q, options)
     for (share, pose, task), multipliers in zip(asked, found.multipliers, strict=True):
         residual = _missed(robot, task, pose, q[round(share * (len(q) - 1))])
         total += jnp.asarray(multipliers, q.dtype)[: len(residual)] @ residual

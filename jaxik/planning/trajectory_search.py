@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -14,23 +14,27 @@ from jaxik.ik import IKOptions, solve_ik
 from jaxik.kinematics.robot import Robot
 from jaxik.optimise import collocation, splines
 from jaxik.optimise.programme import Problem
-from jaxik.planning import limits
-from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker, judged
-from jaxik.planning.planner import Ends, PlanOptions, plan_motion
-from jaxik.planning.trajectory import along_pieces
-from jaxik.planning.trajectory_terms import Target, Terms, TrajectoryOptions, told_apart
+from jaxik.planning.hastening import hastened
+from jaxik.planning.motion_ends import Ends
+from jaxik.planning.planned_ways import Ways
+from jaxik.planning.trajectory_judge import BROKEN, CUSHION, Judge, at_knots, finer, put
+from jaxik.planning.trajectory_terms import Target, TrajectoryOptions, told_apart
 from jaxik.reasons import Reason
 
 MENDS = 4  # rounds in which a motion that is not proven free is mended, the last ones with finer spans
 DEEP = 0.02  # [m] in an obstacle, from which no mending is tried: it is jumped
 MANY = 48  # spans that can follow a planner's way
 FEWEST = 12  # spans at which seeds are compared, and halved no more
+MOST = 64  # pieces of a planner's motion that may be the answer
 LOSS = 1e3  # cost of a metre, or a radian, by which a seed breaks a bound
-CUSHION = 2e-4  # [m] beyond the margin that is kept at knots, for what is between them
-BROKEN = 1e-6  # by which a limit [rad, m and s] or a target [m, rad] counts as missed
-BETWEEN = np.linspace(0.0, 1.0, 5)  # of a span, where torques are judged
 
-Solved = tuple[np.ndarray, collocation.Found]  # the numbers (s,) of problems, and a motion of each
+
+class Solved(NamedTuple):
+    """The numbers (s,) of problems, a motion of each, and whether these are the fastest."""
+
+    rows: np.ndarray
+    found: collocation.Found
+    fastest: bool = False
 
 
 class Search:
@@ -49,9 +53,13 @@ class Search:
     ):
         self.robot, self.scene, self.seed, self.options, self.progress = robot, scene, seed, options, progress
         self.starts, self.goals, self.poses, _ = asked
+        self.plans = bool(options.rounds) and options.kept_margin is not None
+        self.ways = Ways(np.zeros(0, int), [], [])
+        self.via = via
         self.targets = via if self.poses is None else (*via, Target(1.0, self.poses, options.task))
         self.terms = options.terms(robot, scene)
-        self.soft = self.terms.softened()
+        self.soft, self.fast = self.terms.softened(), self.terms.hastened()
+        self.retimed = options.hastens and self.fast.retimed and not via
         self.judge = Judge(self.terms)
         self.reason, self.where = np.full(len(self.starts), int(Reason.NOT_CONVERGED)), np.full(len(self.starts), "", object)
         self.levels = [options.spans]
@@ -70,16 +78,31 @@ class Search:
             samples[:, 0] = self.starts[rows]
             if self.poses is None:
                 samples[:, -1] = ends
-        each: Any = slice(None)
+        each = np.arange(len(rows))
         if guess is not None and self.poses is not None:  # the guess ends where it does, whatever posture has the pose
             each = np.unique(rows, return_index=True)[1]
-        kept = self._tried(rows[each], samples[each])
-        left, space = self.reason[rows] != Reason.SOLVED, self.judge.space
-        if self.options.rounds and self.options.kept_margin is not None and space is not None and left.any():
-            kept += self._held(*self._planned(space, rows[left], ends[left]))
+        kept: list[Solved] = []
+        begins = self.plans and self.options.hastens and guess is None and not self.via
+        if begins:
+            self.ways = self._planned(rows, ends).within(self.pieces)
+            kept += self._ahead()
+        each = each[self._open(rows[each])]
+        slow = self._tried(rows[each], samples[each])
+        left = self._open(rows)
+        if self.plans and left.any():
+            slow += self._held(self.ways.of(self._open(self.ways.rows)) if begins else self._planned(rows[left], ends[left]))
+        kept += [each for some in slow for each in self._faster(some)] if self.options.hastens else slow
         if self.progress is not None:
             self.progress(len(self.starts), len(self.starts))
         return kept
+
+    @property
+    def pieces(self) -> int:
+        """The number of a trajectory's pieces where the time is free: twice the spans, and as many as a planner's way has."""
+        pieces = 2 * self.options.spans
+        while pieces < MOST:
+            pieces *= 2
+        return pieces
 
     def tell(self) -> None:
         """Calls `progress` with the problems that are solved or refused."""
@@ -149,33 +172,56 @@ class Search:
         self._refuse(weak, np.full(len(weak), int(Reason.LIMITS)), "goal")
         return rows[held], ends[held]
 
-    def _planned(self, space: CollisionChecker, rows: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Plans ways for problems, each as often as it has postures to end in. Returns those that have one, and samples along
-        it, at rest at its ends."""
-        how = PlanOptions(margin=self.options.margin, velocity=1.0, acceleration=1.0, rounds=self.options.rounds)
-        found = plan_motion(self.robot, self.starts[rows], ends, scene=self.scene, seed=self.seed, options=how)
-        ways = [way for way in found.waypoints if way is not None]
-        samples = np.empty((len(ways), 4 * self.options.spans + 1, ends.shape[1]))
-        x = np.linspace(0.0, 1.0, samples.shape[1])
-        for row, way in zip(samples, ways, strict=True):
-            since = np.concatenate([[0.0], np.cumsum(space.length(np.diff(way, axis=0)))])
-            at = ((6.0 * x - 15.0) * x + 10.0) * x**3 * since[-1]
-            row[:] = np.stack([np.interp(at, since, joint) for joint in way.T], axis=1)
-        return rows[[way is not None for way in found.waypoints]], samples
+    def _planned(self, rows: np.ndarray, ends: np.ndarray) -> Ways:
+        """Plans motions for problems, each as often as it has postures to end in."""
+        how = self.options.planning(self.robot)
+        return Ways.planned(self.robot, self.scene, rows, self.starts[rows], ends, self.seed, how)
+
+    def _open(self, rows: np.ndarray) -> np.ndarray:
+        """Whether each of the problems has no motion yet."""
+        return self.reason[rows] != Reason.SOLVED
 
     # ----------------------------------------------------------------------------------------------------------------
     # The best of them
 
-    def _held(self, rows: np.ndarray, samples: np.ndarray) -> list[Solved]:
-        """Motions from samples that are free, by steps that go round no obstacle by another side."""
+    def _ahead(self) -> list[Solved]:
+        """The fastest motions on the sides of obstacles on which the planner's ways are; where there is none that is proven,
+        the planner's own is good, if it is within all limits."""
+        ways, degree = self.ways.first(self.options.kept), self.options.degree
+        if not len(ways.rows):
+            return []
+        points = splines.through(ways.in_time(self.options.spans), degree, self.options.spans)
+        posed = lambda at, extra: self._problem(ways.rows[at], extra.shape[1] - 1, extra, cautious=True, fast=True)
+        proven, found = hastened(self.judge, posed, points, self.options.iterations)
+        best = proven & (_ranks(ways.rows, found.cost, LOSS * ~proven) == 0)
+        good = self.ways.rows if self.retimed else ways.rows[best]
+        self.reason[good] = int(Reason.SOLVED)
+        self.tell()
+        return [Solved(ways.rows[best], jax.tree_util.tree_map(lambda x: x[best], found), True)]
+
+    def _faster(self, slow: Solved) -> list[Solved]:
+        """The same motions, made the fastest where that is proven."""
+        rows, found, _ = slow
         if not len(rows):
             return []
+        spans = found.points.shape[1] - self.options.degree
+        posed = lambda at, extra: self._problem(rows[at], extra.shape[1] - 1, extra, cautious=True, fast=True)
+        proven, fast = hastened(self.judge, posed, found.points, self.options.iterations, found.multipliers)
+        sooner = proven & (self.judge.shortest(fast.points, spans) < self.judge.shortest(found.points, spans))
+        picked = lambda x, which: jax.tree_util.tree_map(lambda x: x[which], x)
+        return [Solved(rows[sooner], picked(fast, sooner), True), Solved(rows[~sooner], picked(found, ~sooner))]
+
+    def _held(self, ways: Ways) -> list[Solved]:
+        """Motions from ways that are free, by steps that go round no obstacle by another side."""
+        if not len(ways.rows) or self.judge.space is None:
+            return []
         half = self.levels[-2] if self.levels[-2] >= MANY else self.levels[-1]
-        points = splines.through(samples, self.options.degree, half)
-        found = collocation.optimise(self._problem(rows, half, cautious=True), points, self.options.iterations, 1e-3, 1e-3)
+        points = splines.through(ways.gently(self.options.spans, self.judge.space.weights), self.options.degree, half)
+        problem = self._problem(ways.rows, half, cautious=True)
+        found = collocation.optimise(problem, points, self.options.iterations, 1e-3, 1e-3)
         if half < self.levels[-1]:
             found = finer(found, self.options.degree)
-        return self._in_turn(_ranks(rows, found.cost, found.violation), rows, found, lambda rows, found: found)
+        return self._in_turn(_ranks(ways.rows, found.cost, found.violation), ways.rows, found, lambda rows, found: found)
 
     def _problem(
         self,
@@ -185,9 +231,10 @@ class Search:
         soft: bool = False,
         cautious: bool = False,
         used: np.ndarray | None = None,
+        fast: bool = False,
     ) -> Problem:
         targets = tuple(dataclasses.replace(target, pose=target.pose[rows]) for target in self.targets)
-        terms, whole = self.soft if soft else self.terms, np.ones((len(rows), 1))
+        terms, whole = self.fast if fast else self.soft if soft else self.terms, np.ones((len(rows), 1))
         return terms.problem(spans, targets, extra, self.poses is not None, cautious, whole if used is None else used)
 
     def _compared(self, rows: np.ndarray, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, collocation.Found]:
@@ -234,19 +281,20 @@ class Search:
             at = np.flatnonzero((hit | (kept != Reason.SOLVED)) & (short.max(axis=1) < DEEP))
             if not len(at) or number == mends:
                 break
-            used /= np.maximum(1.0, _at_knots((1.0 + 1e-4) * judge.loaded(found.points)))
-            if number >= MENDS // 2 and (hit.any() or self.terms.drives.limited):
+            used /= np.maximum(1.0, at_knots((1.0 + 1e-4) * judge.loaded(found.points)))
+            refines = number >= MENDS // 2 and (options.duration is not None or extra.shape[1] - 1 < 2 * options.spans)
+            if refines and (hit.any() or self.terms.drives.limited):
                 found = finer(found, options.degree)
                 extra, used = (np.repeat(x, 2, axis=1)[:, :-1] for x in (extra, used))
                 short = np.repeat(short, 2, axis=1)
-            extra[:, 1:-1] += 1.5 * _at_knots(short)[:, 1:-1]  # not of the goal's posture, which may have no more
+            extra[:, 1:-1] += 1.5 * at_knots(short)[:, 1:-1]  # not of the goal's posture, which may have no more
             found = self._mended(rows, found, at, extra, used)
         if not kept_apart:
             hit = (judge.short(found.points) > 0.0).any(axis=1)
         fault = Reason.NOT_CONVERGED if kept_apart else Reason.COLLISION
         self.reason[rows] = np.where(hit & (kept == Reason.SOLVED), int(fault), kept)
         solved = self.reason[rows] == Reason.SOLVED if kept_apart else np.ones(len(rows), bool)
-        return rows[solved], jax.tree_util.tree_map(lambda x: x[solved], found)
+        return Solved(rows[solved], jax.tree_util.tree_map(lambda x: x[solved], found))
 
     def _mended(
         self, rows: np.ndarray, found: collocation.Found, at: np.ndarray, extra: np.ndarray, used: np.ndarray
@@ -257,7 +305,7 @@ class Search:
         accuracy = self.options.iterations, self.options.tolerance, 0.5 * BROKEN
         again = collocation.optimise(problem, found.points[at], *accuracy, found.multipliers[at])
         again = again._replace(iterations=found.iterations[at] + again.iterations)
-        return jax.tree_util.tree_map(lambda old, new: _put(old, at, new), found, again)
+        return jax.tree_util.tree_map(lambda old, new: put(old, at, new), found, again)
 
 
 def _ranks(rows: np.ndarray, cost: np.ndarray, off: np.ndarray) -> np.ndarray:
@@ -266,120 +314,3 @@ def _ranks(rows: np.ndarray, cost: np.ndarray, off: np.ndarray) -> np.ndarray:
     found = np.empty(len(rows), int)
     found[order] = np.arange(len(rows)) - np.searchsorted(rows[order], rows[order])
     return found
-
-
-def finer(found: collocation.Found, degree: int) -> collocation.Found:
-    """The same motions over twice as many spans; between the old knots nothing presses."""
-    between = np.stack([found.pressure, np.zeros_like(found.pressure)], axis=2)
-    pressure = between.reshape(len(between), -1, between.shape[3])[:, :-1]
-    return found._replace(points=splines.finer(found.points, degree), pressure=pressure)
-
-
-def _at_knots(spans: np.ndarray) -> np.ndarray:
-    """The greater (b, N + 1) of what is known of the spans (b, N) beside each knot, none of which is negative."""
-    return np.maximum(np.pad(spans, ((0, 0), (1, 0))), np.pad(spans, ((0, 0), (0, 1))))
-
-
-def _put(old: np.ndarray, at: np.ndarray, new: np.ndarray) -> np.ndarray:
-    found = old.copy()
-    found[at] = new
-    return found
-
-
-class Judge:
-    """Judges motions given by control points (b, N + degree, n) over N equal spans. `space` is None where nothing is looked at
-    that may be hit."""
-
-    def __init__(self, terms: Terms):
-        self.robot, self.terms, self.options = terms.robot, terms, terms.options
-        margin, seen = self.options.kept_margin or 0.0, self.options.collision is not False
-        self.space = CollisionChecker(terms.robot, terms.scene, margin) if seen else None
-
-    def postures(self, q: np.ndarray) -> np.ndarray:
-        """The reason of each posture (b, n) at which a motion is to begin or end, LIMITS too where the drives cannot hold the
-        arm; without a margin it may collide."""
-        verdict, may_collide = judged(self.robot, self.space, q), self.options.kept_margin is None
-        verdict = np.where(may_collide & (verdict == Reason.COLLISION), int(Reason.SOLVED), verdict)
-        return np.where((verdict == Reason.SOLVED) & ~self.holds(q), int(Reason.LIMITS), verdict)
-
-    def holds(self, q: np.ndarray) -> np.ndarray:
-        """(b,): whether the drives hold the arm still in each posture (b, n)."""
-        return limits.holds(self.options.drives(self.robot), q)
-
-    def kept(self, problem: Problem, found: collocation.Found) -> np.ndarray:
-        """The reason of each motion (b,) by its limits and targets alone, which are those of the problem."""
-        count = len(found.points)
-        missed, over = np.zeros(count), np.zeros(count)
-        if problem.equations is not None:
-            q = splines.applied(splines.VALUE[self.options.degree], found.points)[:, problem.at]
-            missed = np.abs(problem.equations(q, found.multipliers, np.arange(count)).residual).max(axis=(1, 2))
-        for row in problem.rows:
-            value = splines.applied(row.stencil, found.points)
-            over = np.maximum(over, np.maximum(row.low - value, value - row.high).max(axis=(1, 2)))
-        over = np.maximum(over, self.loaded(found.points).max(axis=1) - 1.0)
-        if self.options.degree == 2 and self.options.kept_margin is not None:
-            value = splines.turning_values(found.points)
-            over = np.maximum(over, np.maximum(self.robot.lower - value, value - self.robot.upper).max(axis=(1, 2)))
-        broken = np.where(over > BROKEN, int(Reason.LIMITS), int(Reason.SOLVED))
-        return np.where(missed > BROKEN, int(Reason.NOT_CONVERGED), broken)
-
-    def loaded(self, points: np.ndarray) -> np.ndarray:
-        """The greatest share of a limit of torque or power that each span (b, N) of motions uses."""
-        spans = points.shape[1] - self.options.degree
-        if not (self.terms.drives.limited and len(points)):
-            return np.zeros((len(points), spans))
-        return np.abs(self.terms.loads(*self.states(points)).value).reshape(len(points), spans, -1).max(axis=2)
-
-    def states(self, points: np.ndarray) -> list[np.ndarray]:
-        """Values, rates and their rates (b, k, n) at knots and between them."""
-        span = self.terms.duration / (points.shape[1] - self.options.degree)
-        curve = splines.pieces(points, self.options.degree, span)[:, :, None]
-        found = along_pieces(curve, np.broadcast_to(span * BETWEEN, (*curve.shape[:2], len(BETWEEN))))
-        return [x.reshape(len(points), -1, points.shape[2]) for x in found]
-
-    def short(self, points: np.ndarray) -> np.ndarray:
-        """The amount by which each span (b, N) comes too near to be proven free [m]; 0 where it is, or nothing is looked at."""
-        if self.space is None:
-            return np.zeros((len(points), points.shape[1] - self.options.degree))
-        degree, spans = self.options.degree, points.shape[1] - self.options.degree
-        curve = splines.pieces(points, degree, self.terms.duration / spans).reshape(-1, 4, points.shape[2])
-        open_ = np.arange(len(curve))
-        for parts, resolution in ((1, RESOLUTION), (4, CLOSE), (16, CLOSE)):
-            proven = _proven(self.space, curve[open_], self.terms.duration / spans, parts, resolution)
-            open_ = open_[~proven]
-            if not len(open_):
-                break
-        short = np.zeros(len(curve))
-        if len(open_):
-            q = _along(curve[open_], self.terms.duration / spans, 8)
-            nearest = self.terms.clearance(q.reshape(-1, q.shape[2])).reshape(len(open_), -1).min(axis=1)
-            short[open_] = np.maximum(self.space.margin + CUSHION - nearest, CUSHION)
-        return short.reshape(len(points), spans)
-
-    def shortest(self, points: np.ndarray, spans: int) -> np.ndarray:
-        """The least time [s] in which motions that take a second keep their limits."""
-        least = np.where(np.isnan(points).any(axis=(1, 2)), np.nan, 0.0)
-        points = np.where(np.ptp(points, axis=1, keepdims=True) < BROKEN, points[:, :1], points)  # what does not move
-        for order, limit in enumerate(self.options.limits(self.robot), 1):
-            if order <= self.options.degree:
-                size = np.abs(splines.applied(splines.DIFFERENCE[order], points)).max(axis=1) * spans**order
-                least = np.maximum(least, (size / limit).max(axis=1) ** (1.0 / order))
-        drives, moves = self.options.drives(self.robot), np.flatnonzero(~np.isnan(least))
-        if len(moves) and drives.limited:
-            least[moves] = np.maximum(least[moves], limits.least_time(drives, *self.states(points[moves])))
-        return least
-
-
-def _proven(space: CollisionChecker, curve: np.ndarray, span: float, parts: int, resolution: float) -> np.ndarray:
-    """Whether pieces (m, 4, n) are proven free by so many chords: a piece is at most `h^2 / 8 max |q''|` from one in a
-    joint."""
-    q = _along(curve, span, parts)
-    bend = np.maximum(np.abs(2.0 * curve[:, 1]), np.abs(6.0 * curve[:, 0] * span + 2.0 * curve[:, 1]))
-    away = (bend @ space.weights) * (span / parts) ** 2 / 8.0
-    first, last = (x.reshape(-1, q.shape[2]) for x in (q[:, :-1], q[:, 1:]))
-    return np.all(space.proven(first, last, np.repeat(away, parts), resolution).reshape(-1, parts), axis=1)
-
-
-def _along(curve: np.ndarray, span: float, parts: int) -> np.ndarray:
-    """Points (m, parts + 1, n) at equal times of pieces (m, 4, n)."""
-    return along_pieces(curve[:, None], np.linspace(0.0, span, parts + 1))[0]

@@ -24,12 +24,14 @@ from jaxik.kinematics.task import POSE, POSITION, Task
 from jaxik.optimise import programme, splines
 from jaxik.optimise.programme import FAR, Rows
 from jaxik.options import Options, anything, choice, count, flag, instance, number, per_joint
-from jaxik.planning.limits import Drives, drives, limit_of, usual
+from jaxik.planning.limits import BRISK, Drives, drives, limit_of, usual
+from jaxik.planning.planner import PlanOptions
 from jaxik.spatial.algebra import Frame, stack, traced
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
-STRIDE = 0.05  # [m]
+STRIDE, BOLD = 0.05, 0.1  # [m] that a cautious step moves anything at most, and one in haste
+CALM = 1e-3  # share of what velocity, acceleration and jerk cost, where it is time that does
 SOFT = 1e3  # how much more than a radian in the duration it costs to be in an obstacle for as long
 
 
@@ -45,7 +47,8 @@ class TrajectoryOptions(Options, who="optimise_trajectory"):
         above=0.0,
         optional=True,
         unit="s",
-        words="of the motion; None is as short as the limits of the motion's form allow, of which each joint has one then",
+        words="of the motion; None is the least there is within limits, of which each joint has one then; where obstacles cost "
+        "something, as short as the limits of the motion's form allow",
     )
     spans: int = count(default=64, words="of the spline")
     degree: int = count(default=3, least=2, most=3, words="of the spline")
@@ -96,7 +99,11 @@ class TrajectoryOptions(Options, who="optimise_trajectory"):
     via_task: Task = instance(default=POSITION, kind=Task, words="what each pose as a via point binds")
     postures: int = count(default=8, words="postures that have the goal's pose and are compared")
     kept: int = count(default=3, words="of these that are optimised")
-    rounds: int = count(default=20_000, least=0, words="of the planner, whose path is the last resort; 0 is none")
+    rounds: int = count(
+        default=50_000,
+        least=0,
+        words="of the planner, from whose way a motion begins whose time is free, or as a last resort; 0 is none",
+    )
     iterations: int = count(default=60, words="of the solver")
     tolerance: float = number(
         default=1e-4, least=0.0, words="share of the cost by which a step of the solver must promise to lower it"
@@ -130,6 +137,18 @@ class TrajectoryOptions(Options, who="optimise_trajectory"):
         duration = 1.0 if self.duration is None else float(self.duration)
         velocity, acceleration, jerk = limits
         return Terms(robot, scene, self, duration, velocity, acceleration, jerk, drives, apart=self.collision_weight > 0.0)
+
+    @property
+    def hastens(self) -> bool:
+        """Whether a motion is to be the fastest there is: no time is given, and obstacles cost nothing."""
+        return self.duration is None and self.collision != "penalty" and not self.collision_weight
+
+    def planning(self, robot: Robot) -> PlanOptions:
+        """The planner's options, within limits that it takes."""
+        velocity, acceleration, _ = self.limits(robot)
+        most = np.where(np.isfinite(velocity), velocity, 1.0)
+        brisk = np.where(np.isfinite(acceleration), acceleration, BRISK * most)
+        return PlanOptions(margin=self.margin, velocity=most, acceleration=brisk, rounds=self.rounds)
 
     def drives(self, robot: Robot) -> Drives:
         """The robot in its gravity, and the limits of its drives."""
@@ -170,7 +189,7 @@ def told_apart(via: Sequence[Target], spans: int) -> bool:
 @dataclasses.dataclass(frozen=True)
 class Terms:
     """The limits (n,) and costs of one robot in one scene (`options`), within `duration` [s]; `apart`, whether its distance to
-    itself costs by itself."""
+    itself costs by itself; `hasty`, whether time costs, of which `duration` is the unit, and hardly anything else."""
 
     robot: Robot
     scene: Scene | None
@@ -181,6 +200,12 @@ class Terms:
     jerk: np.ndarray
     drives: Drives
     apart: bool
+    hasty: bool = False
+
+    @property
+    def retimed(self) -> bool:
+        """Whether the time is the least along the way that is found; else it is the spline's, within whose jerk is bounded."""
+        return not self.drives.limited and bool(np.isinf(self.jerk).all() and np.isfinite(self.acceleration).all())
 
     @property
     def acceleration_cost(self) -> float:
@@ -198,18 +223,25 @@ class Terms:
         used: np.ndarray | None = None,
     ) -> programme.Problem:
         """Over so many spans; `extra` (B, spans + 1) [m] is kept beyond the margin at each knot, and of the drives' limits the
-        share `used` (B, 1 or spans + 1). Being cautious, a step moves nothing by more than `STRIDE`, and bounds hold between
-        knots, too."""
+        share `used` (B, 1 or spans + 1). Being cautious, a step moves nothing by more than `STRIDE`, in haste `BOLD`, and
+        bounds hold between knots, too."""
         at = tuple(round(target.share * spans) for target in targets)
         count = max((sum(target.task.bound) for target in targets), default=0)
         asked = functools.partial(self._equations, targets, count) if targets else None
         samples = functools.partial(self._samples, 0.0 if extra is None else extra, open_end)
         return programme.Problem(
             *(self.options.degree, self.duration / spans, self._rows(spans, cautious), samples, asked, at, count, open_end),
-            cautious=self._reaches / STRIDE if cautious and self._robots else None,
+            cautious=self._reaches / (BOLD if self.hasty else STRIDE) if cautious and self._robots else None,
             loads=self.loads if self.drives.limited else None,
             limit=None if not self.drives.limited else np.ones((1, 1, 1)) if used is None else used[:, :, None],
+            haste=float(self.hasty),
         )
+
+    def hastened(self) -> Terms:
+        """The same within all limits, which a free time had none of, with a time that costs."""
+        velocity, acceleration, jerk = self.options.limits(self.robot)
+        drives = self.options.drives(self.robot)
+        return dataclasses.replace(self, velocity=velocity, acceleration=acceleration, jerk=jerk, drives=drives, hasty=True)
 
     def softened(self) -> Terms:
         """The same with obstacles that cost instead of a margin: from within one a motion finds out."""
@@ -240,15 +272,16 @@ class Terms:
         place = splines.DIFFERENCE[0] if cautious or degree == 3 else splines.VALUE[2]
         first, last = np.broadcast_to(np.asarray(self.options.velocity_cost, float), 2).tolist()
         grown = np.clip((np.arange(spans + degree - 1) - 0.5 * (degree - 2)) / spans, 0.0, 1.0) ** 2
+        calm = CALM if self.hasty else 1.0
         trapezoid = np.full(len(grown), span)
         trapezoid[[0, -1]] *= 0.5
         rows = [
             Rows(place, 0.0, self.robot.lower, self.robot.upper),
-            Rows(stencil(1), trapezoid * (first + (last - first) * grown), -self.velocity, self.velocity),
+            Rows(stencil(1), calm * trapezoid * (first + (last - first) * grown), -self.velocity, self.velocity, 1),
         ]
         more = {
-            2: Rows(stencil(2), span * self.acceleration_cost, -self.acceleration, self.acceleration),
-            3: Rows(stencil(3), span * self.options.jerk_cost, -self.jerk, self.jerk),
+            2: Rows(stencil(2), calm * span * self.acceleration_cost, -self.acceleration, self.acceleration, 2),
+            3: Rows(stencil(3), calm * span * self.options.jerk_cost, -self.jerk, self.jerk, 3),
         }
         return (*rows, *(more[order] for order in self.orders[1:]))
 

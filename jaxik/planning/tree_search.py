@@ -17,13 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from jaxik.collision.bvh import Grouped
 from jaxik.collision.clearances import first_to_collide
 from jaxik.kinematics.robot import Robot
-from jaxik.planning.collision_checker import CollisionChecker, together
-from jaxik.spmd import TEAM, team
-from jaxik.spmd.batch import in_blocks
-from jaxik.spmd.host import host_kernels
-from jaxik.spmd.packed import unpacked
+from jaxik.planning.collision_checker import CollisionChecker
+from jaxik.planning.world import in_world
+from jaxik.spmd import TEAM
 from jaxik.spmd.trace import TEAM_SIZE
 
 BLOCKS, MOST = 64, 512  # of nodes that a tree has room for at first and at most, as many a block as a team has lanes
@@ -58,7 +57,8 @@ class Search(NamedTuple):
 
 class Searches:
     """Searches for problems that are many or one: from the start (n,) of each to one of its goals (g, n), with samples between
-    `lower` and `upper` (b, n); which they are is drawn from the same `seed` for each. `taken` (b,) are the turns of each."""
+    `lower` and `upper` (b, n), each `among` what is in the scene of such a number (b,); which samples is drawn from the same
+    `seed` for each. `taken` (b,) are the turns of each."""
 
     def __init__(
         self,
@@ -68,14 +68,16 @@ class Searches:
         lower: np.ndarray,
         upper: np.ndarray,
         seed: int,
+        among: np.ndarray,
     ):
         count, n = starts.shape
-        self.space, self.starts, self.goals = space, starts, goals
+        self.space, self.starts, self.goals, self.among = space, starts, goals, among
         self.range = lower.astype(np.float32), upper.astype(np.float32)
         self.offset, self.taken = np.zeros((count, n), np.uint32), np.zeros(count, int)
         self.draws = [np.random.default_rng(seed) for _ in range(count)]
         none = np.zeros(count, np.int32)
-        nodes = np.empty((count, 2, n, BLOCKS, TEAM_SIZE), np.float32), np.empty((count, 2, BLOCKS * TEAM_SIZE), np.int32)
+        blocks = max(BLOCKS, -(-2 * max(map(len, goals), default=0) // TEAM_SIZE))  # roots fill at most half of a tree
+        nodes = np.empty((count, 2, n, blocks, TEAM_SIZE), np.float32), np.empty((count, 2, blocks * TEAM_SIZE), np.int32)
         first = none, none.copy(), np.zeros((count, n), np.float32), *(none.copy() for _ in range(4)), none > 0
         self.found = Search(*nodes, np.zeros((count, 2), np.int32), *first)
         for row in range(count):
@@ -95,7 +97,8 @@ class Searches:
     @property
     def full(self) -> np.ndarray:
         """Whether a tree has no room left (b,), and gets none."""
-        return self.found.count.max(axis=1) >= MOST * TEAM_SIZE
+        blocks = self.found.nodes.shape[3]
+        return self.found.count.max(axis=1) >= max(MOST, blocks) * TEAM_SIZE
 
     def _more_room(self) -> None:
         """Gives all trees eight times the room where one has none left."""
@@ -117,8 +120,8 @@ class Searches:
         margin = (space.margin + cushion).astype(np.float32)
         reach = *map(of, self.range), np.full(len(rows), step, np.float32), margin, np.full(len(rows), scales, np.uint32)
         given = *map(of, self.found), of(self.offset), *reach, (before + turns).astype(np.int32)
-        fixed = np.asarray(space.weights, np.float32), space.obstacles, space.carried
-        found = Search(*in_blocks(searched(space.robot), *given, size=1, fixed=fixed, double=False))
+        shared = (np.asarray(space.weights, np.float32),)
+        found = Search(*space.world.run(searched, *given, among=of(self.among), shared=shared))
         self.taken[rows] += found.turn - before
         if whole:
             self.found = Search(*(x if x.flags.writeable else x.copy() for x in found))
@@ -137,6 +140,15 @@ class Searches:
                 node = int(found.parent[tree, node])
         return np.array(ways[0][::-1] + ways[1][1:], float)  # both end where they have met
 
+    def gap(self, row: int) -> np.ndarray:
+        """The places (2, n) at which the first tree, of the start, and the other one are nearest to each other."""
+        from scipy.spatial import cKDTree
+
+        flat = self.found.nodes[row].reshape(2, self.starts.shape[1], -1)
+        one, other = (nodes[:, :count].T for nodes, count in zip(flat, self.found.count[row], strict=True))
+        apart, nearest = cKDTree(one * self.space.weights).query(other * self.space.weights)
+        return np.array([one[nearest[np.argmin(apart)]], other[np.argmin(apart)]], float)
+
 
 class Reach(NamedTuple):
     """Where samples are drawn, least and greatest (n,), how far apart those of an edge are [m], by how much they keep away from
@@ -149,20 +161,15 @@ class Reach(NamedTuple):
     scales: Any
 
 
-@host_kernels(len(Search._fields) + 2 + len(Reach._fields))
-def searched(robot: Robot, *args: Any) -> Search:
+@in_world(len(Search._fields) + 2 + len(Reach._fields))
+def searched(robot: Robot, obstacles: Grouped, *args: Any) -> Search:
     """The search after so many turns in all, or fewer where the trees meet or one has no room left.
 
     Takes the fields of a `Search`, the `offset` (n,) at which its samples begin, as whole numbers of 32 bits, its `Reach`, and
-    the turn at which it is to end; then, what all searches share, the joints' weights (n,) by which lengths are measured, the
-    obstacles, and what is carried."""
+    the turn at which it is to end; then, what all searches share, the joints' weights (n,) by which lengths are measured."""
     count = len(Search._fields)
-
-    def lane(*args: Any) -> Search:
-        search, offset, (*reach, end, weights, obstacles, carried) = Search(*args[:count]), args[count], args[count + 1 :]
-        return _searched(together(robot, carried), search, offset, Reach(*reach), end, weights, unpacked(obstacles))
-
-    return team(lane)(*args)
+    search, offset, (*reach, end, weights) = Search(*args[:count]), args[count], args[count + 1 :]
+    return _searched(robot, search, offset, Reach(*reach), end, weights, obstacles)
 
 
 def _searched(robot: Robot, search: Search, offset: Any, reach: Any, end: Any, weights: Any, obstacles: Any) -> Search:

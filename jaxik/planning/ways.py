@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.kinematics.joint_turns import whole_turns
-from jaxik.kinematics.robot import Robot
-from jaxik.planning.collision_checker import CLOSE, CollisionChecker
+from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker
 from jaxik.planning.shortcuts import Places, chains
 from jaxik.planning.trajectory import JointPath
 from jaxik.planning.tree_search import Searches
@@ -25,7 +24,7 @@ from jaxik.spmd.trace import TEAM_SIZE
 class Look(NamedTuple):
     """How closely a search looks: samples every `step` [m] that keep a `cushion` [m], until so large a `share` of all rounds,
     and targets about nodes on so many `scales`. A tree that does not become more than `growth` times as large in `patience`
-    rounds counts as walled in: a large one grows slowly, which is a reason to look closer, but at last none to give up."""
+    rounds counts as walled in: a large one grows slowly, which is a reason to look closer, hardly one to give up."""
 
     step: float
     cushion: float
@@ -39,10 +38,10 @@ LOOKS = (
     Look(0.05, 0.003, 0.2, 1, 1.1, 1024),
     Look(0.025, 0.001, 0.5, 2, 1.1, 1024),
     Look(0.0125, 0.0, 0.7, 3, 1.1, 512),
-    Look(0.003125, 0.0, 1.0, 5, 1.0, 512),
+    Look(0.003125, 0.0, 1.0, 5, 1.01, 512),
 )
-POINTS, AGAIN = 20, 3  # of a way, between which lines are tried, and how often at most
-BETTER = 0.98  # times as long as before, from which on it is not tried again
+POINTS, AGAIN = 14, 3  # of a way, between which lines are tried, and how often at most
+BETTER = 0.95  # times as long as before, from which on it is not tried again
 SHARES = 0.5 ** np.arange(1.0, 6.0)  # of the shorter line at a corner, at which its bend begins and ends
 CHORDS = 8
 CALL = 128  # rounds of the search between two looks at the clock
@@ -51,11 +50,13 @@ TOGETHER = 64  # problems whose trees fit in the caches
 
 
 class Found(NamedTuple):
-    """Ways, or None where there is none; and for each the `rounds` of its search, and how many configurations it looked at."""
+    """Ways, or None where there is none; for each the `rounds` of its search, and how many configurations it looked at; and
+    where there is no way, the places (2, n) at which the trees came nearest to each other."""
 
     ways: list[np.ndarray | None]
     rounds: np.ndarray
     checked: np.ndarray
+    gaps: list[np.ndarray | None]
 
 
 def proven_ways(
@@ -66,16 +67,20 @@ def proven_ways(
     rounds: np.ndarray,
     seconds: float | None = None,
     progress: Callable[[int, int], Any] | None = None,
+    among: np.ndarray | None = None,
 ) -> Found:
     """Waypoints (k, n) from each start (b, n) to one of its goals (g, n), straight lines between them proven free; none after
     so many `rounds` (b,), or where the `seconds` that each has on average, if told, are over. `progress` is called with the
-    rounds of the first one and with how many have ended. Each way is as it is alone."""
-    found = Found([], np.zeros(0, int), np.zeros(0, int))
+    rounds of the first one and with how many have ended. Each is `among` what is in the scene of such a number (b,), and as it
+    is alone."""
+    among = np.zeros(len(starts), int) if among is None else among
+    found = Found([], np.zeros(0, int), np.zeros(0, int), [])
     for first in range(0, len(starts), TOGETHER):
         some = slice(first, first + TOGETHER)
         tell = lambda taken, ended, first=first: progress and progress(taken, first + ended)
-        again = _proven_ways(space, starts[some], goals[some], seed, rounds[some], seconds, tell)
-        found = Found(found.ways + again.ways, *map(np.append, found[1:], again[1:]))
+        again = _proven_ways(space, starts[some], goals[some], seed, rounds[some], seconds, tell, among[some])
+        taken, checked = (np.append(one, two) for one, two in zip(found[1:3], again[1:3], strict=True))
+        found = Found(found.ways + again.ways, taken, checked, found.gaps + again.gaps)
     return found
 
 
@@ -87,15 +92,16 @@ def _proven_ways(
     rounds: np.ndarray,
     seconds: float | None,
     progress: Callable[[int, int], Any],
+    among: np.ndarray,
 ) -> Found:
     """`proven_ways` of a few problems, whose trees fit in the caches."""
     turns = np.broadcast_to(whole_turns(space.endless, starts), starts.shape)  # float32 has few digits left after many
     ends = [np.array([start, *goals]) - turn for start, goals, turn in zip(starts, goals, turns, strict=True)]
-    ends, hopeless = _provable(space, ends)
-    ranges = [_search_range(space.robot, each[0]) for each in ends]
+    ends, hopeless = _provable(space, ends, among)
+    ranges = [search_range(space, each[0], turn) for each, turn in zip(ends, turns, strict=True)]
     lower = np.array([np.minimum(low, each.min(axis=0)) for (low, _), each in zip(ranges, ends, strict=True)])
     upper = np.array([np.maximum(high, each.max(axis=0)) for (_, high), each in zip(ranges, ends, strict=True)])
-    searches = Searches(space, starts - turns, [each[1:] for each in ends], lower, upper, seed)
+    searches = Searches(space, starts - turns, [each[1:] for each in ends], lower, upper, seed, among)
     clock = Clock(None if seconds is None else seconds * len(starts), progress, searches)
     ways: list[np.ndarray | None] = [None] * len(starts)
     checked = np.zeros(len(starts), int)
@@ -105,7 +111,7 @@ def _proven_ways(
         if not len(left):
             break
         cushion = np.zeros(len(starts))
-        cushion[left] = kept_at(space, [ends[i] for i in left], look.cushion)
+        cushion[left] = kept_at(space, [ends[i] for i in left], look.cushion, among[left])
         for _ in range(TRIES):
             if not len(left) or clock.over:
                 break
@@ -113,25 +119,26 @@ def _proven_ways(
             left = left[searches.found.joined[left]]  # the others look closer
             if not len(left):
                 break
-            found, looked = shortened(space, [searches.way(i) for i in left], look.step, cushion[left])
+            found, looked = shortened(space, [searches.way(i) for i in left], look.step, cushion[left], among[left])
             checked[left] += looked
             for i, way in zip(left.tolist(), found, strict=True):
                 if way is None:
                     searches.begin(i)
                     continue
-                goals_of = ends[i][1:]
-                way[0], way[-1] = ends[i][0], goals_of[np.argmin(np.abs(goals_of - way[-1]).sum(axis=1))]
                 ways[i] = way + turns[i]
+                nearest = np.argmin(np.abs(goals[i] - ways[i][-1]).sum(axis=1))
+                ways[i][0], ways[i][-1] = starts[i], goals[i][nearest]  # to the last bit
                 clock.ended += 1
             left = np.array([i for i in left if ways[i] is None and searches.taken[i] < limit[i]], int)
-    return Found(ways, searches.taken, checked + TEAM_SIZE * searches.taken)
+    gaps = [None if way is not None else searches.gap(i) + turns[i] for i, way in enumerate(ways)]
+    return Found(ways, searches.taken, checked + TEAM_SIZE * searches.taken, gaps)
 
 
-def _provable(space: CollisionChecker, ends: Sequence[np.ndarray]) -> tuple[list[np.ndarray], np.ndarray]:
+def _provable(space: CollisionChecker, ends: Sequence[np.ndarray], among: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
     """The start and the goals (e, n) of each problem without those goals to which no line can be proven, since they all but
     touch; and whether there is none left, or the start does (b,)."""
     first = np.cumsum([0, *map(len, ends)])
-    touching = np.split(space.hits(np.concatenate(ends), CLOSE), first[1:-1])
+    touching = np.split(space.hits(np.concatenate(ends), CLOSE, np.repeat(among, np.diff(first))), first[1:-1])
     hopeless = np.array([touches[0] or touches[1:].all() for touches in touching])
     kept = [np.r_[False, touches[1:]] & ~lost for touches, lost in zip(touching, hopeless, strict=True)]
     return [each[~without] for each, without in zip(ends, kept, strict=True)], hopeless
@@ -153,13 +160,14 @@ class Clock:
         self.progress(int(self.searches.taken[0]), self.ended)
 
 
-def kept_at(space: CollisionChecker, ends: Sequence[np.ndarray], most: float) -> np.ndarray:
+def kept_at(space: CollisionChecker, ends: Sequence[np.ndarray], most: float, among: np.ndarray) -> np.ndarray:
     """The cushion (b,) [m] that each search may keep from its ends (e, n): what these do not have would wall them in."""
     if not most:
         return np.zeros(len(ends))
     tried = most * np.array([[0.25], [0.5], [1.0]])
     rows, first = np.concatenate(ends), np.cumsum([0, *map(len, ends[:-1])])
-    hit = space.hits(np.tile(rows, (len(tried), 1)), np.repeat(tried, len(rows))).reshape(len(tried), -1)
+    each = np.tile(np.repeat(among, list(map(len, ends))), len(tried))
+    hit = space.hits(np.tile(rows, (len(tried), 1)), np.repeat(tried, len(rows)), each).reshape(len(tried), -1)
     return np.max(tried * ~np.logical_or.reduceat(hit, first, axis=1), axis=0)
 
 
@@ -178,17 +186,18 @@ def _searched(searches: Searches, rows: np.ndarray, look: Look, cushion: np.ndar
         rows = rows[~ended[rows]]
 
 
-def _search_range(robot: Robot, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`finite_limits`; those of a joint that lacks one are moved as far towards the start (n,) as its other one allows:
-    how often it has turned before makes no difference to a search."""
-    lower, upper = robot.finite_limits
+def search_range(space: CollisionChecker, start: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`finite_limits`; those of a joint that lacks one are moved as far towards the start (n,) as its other one, and the bounds
+    of `space`, which is a `turn` (n,) further, allow: how often it has turned before makes no difference to a search."""
+    lower, upper = space.robot.finite_limits
+    robot = space.robot
     least, most = (np.where(np.isfinite(limit), 0.0, end) for limit, end in ((robot.lower, -np.inf), (robot.upper, np.inf)))
     moved = np.clip(start - 0.5 * (lower + upper), least, most)
-    return lower + moved, upper + moved
+    return np.maximum(lower + moved, space.lower - turn), np.minimum(upper + moved, space.upper - turn)
 
 
 def shortened(
-    space: CollisionChecker, ways: Sequence[np.ndarray], step: float, cushion: np.ndarray
+    space: CollisionChecker, ways: Sequence[np.ndarray], step: float, cushion: np.ndarray, among: np.ndarray
 ) -> tuple[list[np.ndarray | None], np.ndarray]:
     """Waypoints (k, n) of shorter ways between which all straight lines are proven free, or None where no such chain of lines
     was found; and how many configurations were looked at for each."""
@@ -198,7 +207,7 @@ def shortened(
 
     def chained(rows: list[int]) -> None:
         """The shortest chains of these rows' places."""
-        chain, count = chains(space, [places[i] for i in rows], step, cushion[rows])
+        chain, count = chains(space, [places[i] for i in rows], step, cushion[rows], among[rows])
         looked[rows] += count
         for i, each in zip(rows, chain, strict=True):
             found[i] = each
@@ -214,11 +223,15 @@ def shortened(
         left = [i for i in left if len(found[i]) and space.length(np.diff(ways[i], axis=0)).sum() <= BETTER * lengths[i].sum()]
         if not left:
             break
-    return _proven_chains(space, places, found, chained), looked
+    return proven_chains(space, places, found, chained, among), looked
 
 
-def _proven_chains(
-    space: CollisionChecker, places: Sequence[Places], found: list[np.ndarray], chained: Callable[[list[int]], None]
+def proven_chains(
+    space: CollisionChecker,
+    places: Sequence[Places],
+    found: list[np.ndarray],
+    chained: Callable[[list[int]], None],
+    among: np.ndarray,
 ) -> list[np.ndarray | None]:
     """The waypoints of the chains that were `found`; where a line of one cannot be proven, it is barred, and the row is
     `chained` again."""
@@ -229,7 +242,7 @@ def _proven_chains(
         if not lines:
             break
         ends = np.array([places[i].points[[a, b]] for i, a, b in lines])
-        free = space.proven_closely(ends[:, 0], ends[:, 1])
+        free = space.proven_closely(ends[:, 0], ends[:, 1], among[[i for i, _, _ in lines]])
         barred = []
         for (i, a, b), holds in zip(lines, free.tolist(), strict=True):
             if holds:
@@ -244,27 +257,31 @@ def _proven_chains(
     return [places[i].points[chain] if len(chain) else None for i, chain in enumerate(found)]
 
 
-def blended(space: CollisionChecker, ways: Sequence[np.ndarray]) -> list[JointPath]:
+def blended(space: CollisionChecker, ways: Sequence[np.ndarray], among: np.ndarray, smooth: bool = False) -> list[JointPath]:
     """The lines between the waypoints (k, n) of each way, each corner with the largest parabola of `SHARES` that is proven
     free, or as it is.
 
     A parabola lies no further from `CHORDS` chords between its points than `|a - 2 c + b| / (4 CHORDS^2)` in each joint, of its
-    corner c and its ends a, b; so a chord that keeps by so much more than the margin proves its part of it.
+    corner c and its ends a, b; so a chord that keeps by so much more than the margin proves its part of it. A `smooth` bend is
+    a pair of cubics in its place, whose second derivative rises from zero to twice the parabola's and falls again: it lies
+    twice as far from its chords at most.
     """
     lines = [_lines(way) for way in ways]
     corners = np.concatenate([way[1:-1] for way in ways])
     before, after = (np.concatenate([along[part] for along, _ in lines]) for part in (slice(None, -1), slice(1, None)))
     shorter = np.concatenate([np.minimum(lengths[:-1], lengths[1:]) for _, lengths in lines])
+    at = np.repeat(among, [len(way) - 2 for way in ways])
     bends, left = np.zeros(len(corners)), np.arange(len(corners))
     for share in SHARES if len(corners) else ():
         tried = share * shorter[left]
-        free = _proven_bends(space, corners[left], before[left], after[left], tried)
+        free = _proven_bends(space, corners[left], before[left], after[left], tried, at[left], smooth)
         bends[left[free]] = tried[free]
         left = left[~free]
         if not len(left):
             break
     each = np.split(bends, np.cumsum([len(way) - 2 for way in ways])[:-1])
-    return [_bent(way, *line, bend) for way, line, bend in zip(ways, lines, each, strict=True)]
+    bend = _smoothly_bent if smooth else _bent
+    return [bend(way, *line, shares) for way, line, shares in zip(ways, lines, each, strict=True)]
 
 
 def _lines(way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -275,27 +292,69 @@ def _lines(way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _proven_bends(
-    space: CollisionChecker, corner: np.ndarray, before: np.ndarray, after: np.ndarray, share: np.ndarray
+    space: CollisionChecker,
+    corner: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
+    share: np.ndarray,
+    among: np.ndarray,
+    smooth: bool,
 ) -> np.ndarray:
-    """Whether the parabola at each corner (c, n) is proven free that begins so far (c,) before it and ends so far after it."""
+    """Whether the bend at each corner (c, n) is proven free that begins so far (c,) before it and ends so far after it."""
     begin, end = corner - share[:, None] * before, corner + share[:, None] * after
     x = np.linspace(0.0, 1.0, CHORDS + 1)[:, None, None]
     points = (1.0 - x) ** 2 * begin + 2.0 * x * (1.0 - x) * corner + x**2 * end
     away = np.abs(begin - 2.0 * corner + end) @ space.weights / (4.0 * CHORDS**2)
+    if smooth:
+        short = np.minimum(x, 1.0 - x)  # of the bend, to its nearer end
+        line = np.where(x < 0.5, corner - (1.0 - 2.0 * x) * (corner - begin), corner + (2.0 * x - 1.0) * (end - corner))
+        points, away = line + 4.0 / 3.0 * short**3 * (begin - 2.0 * corner + end), 2.0 * away
     rows = lambda each: each.reshape(-1, corner.shape[1])
-    return np.all(space.proven(rows(points[:-1]), rows(points[1:]), np.tile(away, CHORDS)).reshape(CHORDS, -1), axis=0)
+    each = np.tile(away, CHORDS), RESOLUTION, np.tile(among, CHORDS)
+    return np.all(space.proven(rows(points[:-1]), rows(points[1:]), *each).reshape(CHORDS, -1), axis=0)
 
 
 def _bent(way: np.ndarray, along: np.ndarray, lengths: np.ndarray, bends: np.ndarray) -> JointPath:
     """The path along the lines of a way, with a parabola at each inner waypoint that begins and ends so far (k-2,) from it."""
+    none = np.zeros(way.shape[1])
+
+    def parabola(i: int, share: float) -> list[tuple[float, list[np.ndarray]]]:
+        bend = (along[i] - along[i - 1]) / (4.0 * share)
+        return [(2.0 * share, [none, bend, along[i - 1], way[i] - share * along[i - 1]])]
+
+    return _with_bends(way, along, lengths, bends, parabola)
+
+
+def _smoothly_bent(way: np.ndarray, along: np.ndarray, lengths: np.ndarray, bends: np.ndarray) -> JointPath:
+    """The path along the lines of a way, with a pair of cubics at each inner waypoint that begins and ends so far (k-2,) from
+    it, straight there: q'' is continuous."""
+    none = np.zeros(way.shape[1])
+
+    def cubics(i: int, share: float) -> list[tuple[float, list[np.ndarray]]]:
+        turn = along[i] - along[i - 1]
+        twist, middle = turn / (6.0 * share**2), way[i] + share * turn / 6.0
+        return [
+            (share, [twist, none, along[i - 1], way[i] - share * along[i - 1]]),
+            (share, [-twist, turn / (2.0 * share), along[i] - 0.5 * turn, middle]),
+        ]
+
+    return _with_bends(way, along, lengths, bends, cubics)
+
+
+def _with_bends(
+    way: np.ndarray,
+    along: np.ndarray,
+    lengths: np.ndarray,
+    bends: np.ndarray,
+    bend: Callable[[int, float], list[tuple[float, list[np.ndarray]]]],
+) -> JointPath:
+    """The path along the lines of a way, with the pieces of a bend at each inner waypoint that has a share (k-2,) of them."""
     shares, none = np.concatenate([[0.0], bends, [0.0]]), np.zeros(way.shape[1])
-    pieces, coefficients = [], []
+    pieces = []
     for i, share in enumerate(shares.tolist()):
         if share:
-            bend = (along[i] - along[i - 1]) / (4.0 * share)
-            pieces.append(2.0 * share)
-            coefficients.append([none, bend, along[i - 1], way[i] - share * along[i - 1]])
+            pieces += bend(i, share)
         if i < len(along):
-            pieces.append(max(0.0, lengths[i] - share - shares[i + 1]))
-            coefficients.append([none, none, along[i], way[i] + share * along[i]])
-    return JointPath(np.array(pieces), np.array(coefficients))
+            line = [none, none, along[i], way[i] + share * along[i]]
+            pieces.append((max(0.0, lengths[i] - share - shares[i + 1]), line))
+    return JointPath(*map(np.array, zip(*pieces, strict=True)))

@@ -63,9 +63,9 @@ def collective(t: Text, code: str, kind: str, value: str) -> str:
     else:
         name = "add" if what == "sum" else f"{'u' if is_unsigned(kind) else 's'}{what}"
     full, first = f"@llvm.vector.reduce.{name}.v{t.width}{mangled(kind)}", llvm(kind)
-    given = [f"{first} {t.constant(-0.0, kind, False)}", f"{shape} {value}"] if name == "fadd" else [f"{shape} {value}"]
-    t.declared.add(f"declare {first} {full}({', '.join(x.rsplit(' ', 1)[0] for x in given)})")
-    return f"call {first} {full}({', '.join(given)})"
+    given = [(first, t.constant(-0.0, kind, False)), (shape, value)] if name == "fadd" else [(shape, value)]
+    t.declared.add(f"declare {first} {full}({', '.join(kind for kind, _ in given)})")
+    return f"call {first} {full}({', '.join(f'{kind} {x}' for kind, x in given)})"
 
 
 def _comparison(code: str, kind: str, shape: str, names: list[str]) -> str:

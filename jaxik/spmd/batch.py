@@ -43,15 +43,15 @@ def threads() -> ThreadPoolExecutor:
 
 def in_blocks(
     function: Callable[..., Any],
-    *columns: np.ndarray,
+    *columns: Any,
     size: int = 256,
     fixed: tuple[Any, ...] = (),
     double: bool | None = None,
     rows: Callable[..., tuple[np.ndarray, ...]] | None = None,
 ) -> list[np.ndarray]:
-    """`function(*rows, *fixed)` over the rows of `columns`, which may be none; its leaves as NumPy arrays. `size` rows are a
-    block where XLA has to do it. `rows`, of some rows of `columns`, are those that the function takes: made block by block, in
-    the block's own thread.
+    """`function(*rows, *fixed)` over the rows of `columns`, which may be none; its leaves as NumPy arrays. `columns` are
+    arrays, at least the first one, or pytrees of them. `size` rows are a block where XLA has to do it. `rows`, of some rows of
+    `columns`, are those that the function takes: made block by block, in the block's own thread.
 
     `double` says whether it runs in float64 or float32 whatever JAX is set to; None is as it is set here, which other threads
     would not know.
@@ -67,18 +67,19 @@ def in_blocks(
         except Unsupported:
             pass
 
-    def block(*part: np.ndarray) -> list[np.ndarray]:
+    def block(*part: Any) -> list[np.ndarray]:
         here = len(part[0])
-        padded = [np.resize(r, (size, *r.shape[1:])) if here < size else r for r in part]  # of no rows it makes zeros
+        filled = lambda x: np.resize(x, (size, *x.shape[1:])) if here < size else x  # of no rows it makes zeros
+        padded = jax.tree_util.tree_map(filled, part)
         with jax.enable_x64(wide):
             return [np.asarray(x)[:here] for x in jax.tree_util.tree_leaves(function(*made(*padded), *fixed))]
 
     return _by_blocks(block, columns, size)
 
 
-def _by_blocks(function: Callable[..., list[np.ndarray]], columns: tuple[np.ndarray, ...], size: int) -> list[np.ndarray]:
+def _by_blocks(function: Callable[..., list[np.ndarray]], columns: tuple[Any, ...], size: int) -> list[np.ndarray]:
     """`function` over so many rows at a time, in several threads."""
-    block = lambda start: function(*(c[start : start + size] for c in columns))
+    block = lambda start: function(*jax.tree_util.tree_map(lambda x: x[start : start + size], columns))
     starts = range(0, max(len(columns[0]), 1), size)
     parts = [block(s) for s in starts] if len(starts) == 1 else list(threads().map(block, starts))
     return [np.concatenate(each) for each in zip(*parts, strict=True)]

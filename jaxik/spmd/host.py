@@ -25,7 +25,8 @@ _NARROW = {np.dtype(np.int64): np.dtype(np.int32), np.dtype(np.uint64): np.dtype
 
 
 class HostKernel:
-    """A function of one configuration over the rows of its first `lanes` arguments; the others, pytrees, all rows share.
+    """A function of one configuration over the rows of its first `lanes` arguments; the others all rows share. Each is an array
+    or a pytree of arrays.
 
         reach = HostKernel(lambda q, base: jnp.linalg.norm(q - base), 1)
         (distances,) = reach.run(points, base)  # (b, 2), (2,) -> [(b,)]
@@ -92,15 +93,17 @@ class HostKernel:
 
     def _prepared(self, args: Any, double: bool | None) -> tuple[call.Made, list[np.ndarray], list[np.ndarray], int]:
         """The kernel, its operands, where its results go, and how many rows there are."""
+        args = tuple([np.asarray(x) if type(x) is list else x for x in args[: self.lanes]]) + args[self.lanes :]
+        leaves, tree = jax.tree_util.tree_flatten(args)
+        rows = len(jax.tree_util.tree_leaves(args[: self.lanes]))
         if double is None:
-            floats = [x.dtype for x in map(np.asarray, args[: self.lanes]) if x.dtype.kind == "f"]
+            floats = [x.dtype for x in map(np.asarray, leaves[:rows]) if x.dtype.kind == "f"]
             double = jax.dtypes.canonicalize_dtype(np.result_type(*floats, np.float32)) == np.float64
-        shared, tree = jax.tree_util.tree_flatten(args[self.lanes :])
         width = np.dtype(np.float64 if double else np.float32)
-        operands = [_array(x, width) for x in (*args[: self.lanes], *shared)]
-        count = _rows(operands, self.lanes)
-        shapes = [x.shape[1:] for x in operands[: self.lanes]] + [x.shape for x in operands[self.lanes :]]
-        key = tree, double, tuple(shapes), "".join([x.dtype.char for x in operands])
+        operands = [_array(x, width) for x in leaves]
+        count = _rows(operands, rows)
+        shapes = [x.shape[1:] for x in operands[:rows]] + [x.shape for x in operands[rows:]]
+        key = tree, rows, double, tuple(shapes), "".join([x.dtype.char for x in operands])
         found = self.known.get(key)
         if found is None:
             found = self.known[key] = self._made(*key)
@@ -117,17 +120,17 @@ class HostKernel:
 
         return jax.jit(batch)
 
-    def _made(self, tree: Any, double: bool, shapes: Any, kinds: str) -> tuple[Traced, call.Made, list[np.ndarray]]:
+    def _made(self, tree: Any, rows: int, double: bool, shapes: Any, kinds: str) -> tuple[Traced, call.Made, list[np.ndarray]]:
         """Returns the trace, its kernel, and the large arrays that the function closes over, which are operands."""
         if jax.default_backend() != "cpu":
             raise Unsupported("other platforms than a CPU")
         with jax.enable_x64(double):
-            flat = lambda *x: self.function(*x[: self.lanes], *jax.tree_util.tree_unflatten(tree, x[self.lanes :]))
+            flat = lambda *x: self.function(*jax.tree_util.tree_unflatten(tree, x))
             traced, _, more = trace(flat, [jax.ShapeDtypeStruct(s, np.dtype(k)) for s, k in zip(shapes, kinds, strict=True)])
         if any(isinstance(x, jax.core.Tracer) for x in more):
             raise Unsupported("traced arrays that are closed over")
         arrays = [np.ascontiguousarray(x) for x in more]
-        return traced, call.made(traced, tuple(k >= self.lanes for k in range(len(traced.inputs)))), arrays
+        return traced, call.made(traced, tuple(k >= rows for k in range(len(traced.inputs)))), arrays
 
 
 def host_kernels(lanes: int, known: int = 64) -> Callable[[Callable[..., Any]], Callable[..., HostKernel]]:

@@ -292,7 +292,8 @@ def test_one_line_says_what_reads_a_file():
         r"margin 0.1 with collision=False, which looks at nothing", jaxik.solve_ik, P6R, np.eye(4), margin=0.1, collision=False
     )
     refused(r"write a jaxik.Scene, e.g. jaxik.load_scene\('c.toml'\)", jaxik.solve_ik, P6R, np.eye(4), scene="c.toml")
-    refused("write a jaxik.Scene$", jaxik.solve_ik, P6R, np.eye(4), scene=[SCENE])
+    refused("write a jaxik.Scene", jaxik.solve_ik, P6R, np.eye(4), scene=[SCENE, "c.toml"])
+    refused("2 scenes for 3 targets", jaxik.solve_ik, P6R, np.tile(np.eye(4), (3, 1, 1)), scene=[SCENE] * 2)
     refused(r"write a jaxik.Robot, e.g. jaxik.load\('xarm.toml'\)", jaxik.solve_ik, "xarm.toml", np.eye(4))
     refused(r"accuracy is 10; allowed: .* at most 0.2 m", jaxik.FitOptions, accuracy=10)
     refused("save: /nonexist/a.toml: .*No such file.*name a file in", jaxik.save, P6R, "/nonexist/a.toml")

@@ -122,6 +122,10 @@ INSIDE = {  # what reaches inside, and why there is no public way: it measures a
     ("batch_eval/predictive_statistics.py", "jaxik.motions.predictive.objective"): "the objective of each method",
     ("batch_eval/predictive_statistics.py", "jaxik.optimise.descent.Direction"): "the names of all directions",
     ("batch_eval/predictive_statistics.py", "jaxik.optimise.descent.Search"): "the names of all searches",
+    (
+        "batch_eval/roadmap_benchmark.py",
+        "jaxik.collision.continuous_collision.joint_reaches",
+    ): "samples like a peer's",
     ("batch_eval/sweep_benchmark.py", "jaxik.reach.leading_joints.freest"): "one step of a sweep by itself",
     ("batch_eval/sweep_benchmark.py", "jaxik.reach.leading_joints.leading_grid"): "one step of a sweep by itself",
     ("batch_eval/sweep_benchmark.py", "jaxik.reach.proof.beyond"): "one step of a sweep by itself",

@@ -350,7 +350,7 @@ def test_reasons(arm):
     assert not hasty and hasty.where == ""
     for start, goal in ((START, np.zeros((0, 4, 4))), (np.zeros((0, 3)), GOAL), ([], [])):
         none = optimise_trajectory(robot, start, goal, scene=POLES, spans=32)
-        assert none.reason.shape == (0,) and none.trajectory.time.shape == (0, 33)
+        assert none.reason.shape == (0,) and len(none.trajectory.time) == 0
 
 
 def test_a_robot_without_shapes():

@@ -19,7 +19,7 @@ def test_operations_loops_and_branches():
 
     found = describe(roll, np.float32(3.0))
     assert found.loops == (0, 300) and found.branches == 1
-    assert found.operations == {"load": 1, "gt": 2, "convert": 1, "ge": 1, "mul": 2, "add": 1}
+    assert found.operations == {"load": 1, "gt": 2, "mul": 2, "add": 1}
     assert "2 loops (until all lanes are done, 300 turns); 1 branch;" in str(found)
 
 

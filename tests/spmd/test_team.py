@@ -52,6 +52,14 @@ def test_collectives_speak_to_all_lanes():
     assert_array_equal(found[4], False)
 
 
+def test_collectives_of_what_is_known():
+    def lane(x):
+        of = lambda known: (lax.psum(known, TEAM), lax.pmax(known, TEAM), lax.pmin(known, TEAM))
+        return of(jnp.int32(3) + 0 * x.astype(jnp.int32)), of(jnp.where(False, x, 2.5)), of(jnp.where(x == x, 4, 5))
+
+    alike(lambda x: team(lane)(x), jnp.arange(5.0))
+
+
 def test_nan_is_the_least_and_the_largest():
     lane = lambda x: (lax.pmax(x * lax.axis_index(TEAM), TEAM), lax.pmin(x / lax.axis_index(TEAM), TEAM))
     found = alike(team(lane), np.array([1.0, np.nan, np.inf, 0.0], np.float32))

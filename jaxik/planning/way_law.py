@@ -1,0 +1,103 @@
+"""The way along a path over time, s(t), whose acceleration is linear between moments; it knows no path.
+
+Both makers give a uniform cubic B-spline whose control points are the places themselves at even times: what it is a mean of
+over four knots, its jerk is a mean of, too, and never above.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+NEWTON = 6  # steps
+FINER = 4  # steps of a moment, in which time is integrated
+GAUSS = np.array([-np.sqrt(0.6), 0.0, np.sqrt(0.6)]) / 2.0 + 0.5, np.array([5.0, 8.0, 5.0]) / 18.0
+
+
+class Law(NamedTuple):
+    """The way along a path: `place`, `speed` and `acceleration` (m,) at each `time` (m,) [s]; the last is linear between."""
+
+    time: np.ndarray
+    place: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+
+    @property
+    def jerk(self) -> np.ndarray:
+        """The jerk (m-1,) between moments."""
+        long = np.diff(self.time)
+        return np.divide(np.diff(self.acceleration), long, out=np.zeros_like(long), where=long > 0.0)
+
+    def interval(self, t: np.ndarray) -> np.ndarray:
+        """The number of the interval in which each t is."""
+        return np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 2)
+
+    def moved(self, t: np.ndarray, i: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The place, speed and acceleration at t, in the intervals i."""
+        e, v, a, jerk = t - self.time[i], self.speed[i], self.acceleration[i], self.jerk[i]
+        return self.place[i] + (v + (0.5 * a + jerk * e / 6.0) * e) * e, v + (a + 0.5 * jerk * e) * e, a + jerk * e
+
+    def arrivals(self, places: np.ndarray) -> np.ndarray:
+        """The times at which the way is at such places, inside of it, by Newton's steps between two moments."""
+        i = np.clip(np.searchsorted(self.place, places) - 1, 0, len(self.time) - 2)
+        first, last = self.time[i], self.time[i + 1]
+        t = first + (last - first) * (places - self.place[i]) / (self.place[i + 1] - self.place[i])
+        for _ in range(NEWTON):
+            place, speed, _ = self.moved(t, i)
+            t = np.clip(t - (place - places) / np.maximum(speed, 1e-150), first, last)
+        return t
+
+    def slower(self, factor: float) -> Law:
+        """The law that lasts so many times longer."""
+        return Law(self.time * factor, self.place, self.speed / factor, self.acceleration / factor**2)
+
+
+def averaged(time: np.ndarray, place: np.ndarray, speed: np.ndarray, width: float, count: int) -> Law:
+    """The law of a motion, whose speed is linear in time, averaged over `width` [s]."""
+    step = np.diff(time)
+    rate = np.divide(np.diff(speed), step, out=np.zeros_like(step), where=step > 0.0)
+    before = np.concatenate([[0.0], np.cumsum(((rate * step / 6.0 + 0.5 * speed[:-1]) * step + place[:-1]) * step)])
+
+    def integral(at: np.ndarray) -> np.ndarray:
+        inside = np.clip(at, 0.0, time[-1])
+        i = np.clip(np.searchsorted(time, inside, side="right") - 1, 0, len(step) - 1)
+        e = inside - time[i]
+        own = before[i] + ((rate[i] * e / 6.0 + 0.5 * speed[i]) * e + place[i]) * e
+        return own + place[-1] * np.maximum(at - time[-1], 0.0)
+
+    moments = np.linspace(0.0, time[-1] + width, count + 1)
+    places = np.clip((integral(moments) - integral(moments - width)) / width, 0.0, place[-1])
+    return spline(places, moments[1])
+
+
+def spline(control: np.ndarray, step: float) -> Law:
+    """The cubic B-spline over even knots, at rest at both ends, whose control points inside are those given."""
+    c = np.concatenate([control[:1].repeat(3), control[1:-1], control[-1:].repeat(3)])
+    place = (c[:-2] + 4.0 * c[1:-1] + c[2:]) / 6.0
+    place[0], place[-1] = control[0], control[-1]
+    return Law(step * np.arange(len(place)), place, (c[2:] - c[:-2]) / (2.0 * step), (c[2:] - 2.0 * c[1:-1] + c[:-2]) / step**2)
+
+
+def driven(known: Law, squares: np.ndarray, count: int) -> Law:
+    """The law s(tau(t)) of a known one s(tau), with (dtau/dt)^2 a quadratic spline of such control values, in even time."""
+    step, ends = known.time[1], np.pad(squares, 1, mode="edge")
+
+    def square(x: np.ndarray) -> np.ndarray:
+        """(dtau/dt)^2 at tau in steps."""
+        i = np.floor(x + 0.5).astype(int)
+        u = x - i
+        return 0.5 * (ends[i] * (0.5 - u) ** 2 + ends[i + 2] * (0.5 + u) ** 2) + ends[i + 1] * (0.75 - u * u)
+
+    fine = np.arange((len(squares) - 1) * FINER + 1) / FINER
+    inside, weights = fine[:-1, None] + GAUSS[0] / FINER, GAUSS[1] * step / FINER
+    time = np.concatenate([[0.0], np.cumsum((weights / np.sqrt(square(inside))).sum(axis=1))])
+    rate = np.sqrt(square(fine)) / step
+    at = np.linspace(0.0, time[-1], count + 1)
+    i = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
+    long = time[i + 1] - time[i]
+    e = (at - time[i]) / long  # tau of time, by Hermite's cubics
+    x = fine[i] * (1.0 + 2.0 * e) * (1.0 - e) ** 2 + fine[i + 1] * e**2 * (3.0 - 2.0 * e)
+    x += long * e * (1.0 - e) * (rate[i] * (1.0 - e) - rate[i + 1] * e)
+    place = np.clip(known.moved(step * x, known.interval(step * x))[0], 0.0, known.place[-1])
+    return spline(np.concatenate([[0.0], place[1:-1], known.place[-1:]]), time[-1] / count)
