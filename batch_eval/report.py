@@ -25,6 +25,7 @@ from tables.motions import (
     planning_markdown,
     predictive_markdown,
     roadmap_markdown,
+    slit_markdown,
     statistics_markdown,
     trajectory_markdown,
 )
@@ -70,6 +71,7 @@ TABLES = {
     "predictive_statistics.json": statistics_markdown,
     "random_programs.json": programs_markdown,
     "roadmap_benchmark.json": roadmap_markdown,
+    "slit_benchmark.json": slit_markdown,
     "sweep_benchmark.json": sweep_markdown,
     "teleoperation.json": teleoperation_markdown,
     "torque_estimation.json": torque_markdown,

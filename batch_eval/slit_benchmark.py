@@ -3,8 +3,8 @@
 Needs `pip install -e ".[test,peers]"`. Prints, and writes `batch_eval/slit_benchmark.json`. Six joints, links of 12 mm and a
 sphere of 16 or 18 mm at the tip; a plate, 10 or 50 mm thick, that the arm cannot reach around has one slot, 20 mm wide and
 240 mm long, upright, level or oblique. From a random posture before the plate the tip is to reach a random point 40 to 120 mm
-behind its middle. Each seed is a problem of its own and the search's seed. A motion is judged from outside: by Pinocchio
-and coal, wherever no point of the robot has moved by more than 0.2 mm.
+behind its middle. Each seed is a problem of its own and the search's seed. A motion is judged from outside, as those of
+`planning_benchmark.py`.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from typing import Any
 import jax
 import numpy as np
 from peers.collision_peers import Coal
+from planning_benchmark import judged
 from race import clocked, machine, percentiles
 
 import jaxik
-from jaxik.planning import PlanResult, plan_motion
+from jaxik.planning import plan_motion
 
 HERE = Path(__file__).parent
 SLOT, LONG, PLATE = 0.02, 0.24, 2.4  # [m] its width and length; the plate's edges
@@ -30,7 +31,6 @@ SPEED = 2.0  # [rad/s] of each joint
 AT = np.array([0.45, 0.0, 0.4])  # [m] the slot's middle
 TURNS = {"upright": 0.0, "oblique": 45.0, "level": 90.0, "slanting": 120.0}  # [deg] about the plate's normal
 BEHIND, ASIDE = (0.04, 0.12), 0.08  # [m] of the plate, and along the slot from its middle: where goals are
-APART, TOUCH = 2e-4, 1e-6  # [m] that any point moves between samples that are judged; that float32 does not tell from contact
 WITHIN = 2.0  # [s] the time that is asked for
 CASES = ((0.008, 0.01), (0.009, 0.01), (0.009, 0.05))  # [m] the radius of the tip, and how thick the plate is
 LINK = '<body name="{0}" pos="0 0 {1}"><joint name="{0}" axis="{2}" range="{3} {4}"/>{5}'
@@ -84,18 +84,6 @@ def problem(robot: jaxik.Robot, scene: jaxik.Scene, degrees: float, seed: int) -
     return q[before][0], found.q[np.flatnonzero(found.success)[0]]
 
 
-def judged(robot: jaxik.Robot, coal: Coal, scene: jaxik.Scene, moved: PlanResult) -> bool:
-    """Whether a motion is free."""
-    assert moved.trajectory is not None
-    reach = jaxik.collision.continuous_collision.joint_reaches(robot)
-    q = moved.trajectory.sample(1e-3).q
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q, axis=0)) @ reach)])
-    places = np.linspace(0.0, way[-1], int(np.ceil(way[-1] / APART)) + 1)
-    samples = np.stack([np.interp(places, way, column) for column in q.T], axis=1)
-    hit = np.flatnonzero(coal.collides(scene, samples))
-    return not len(hit) or bool(coal.clearance(scene, samples[hit]).min() >= -TOUCH)
-
-
 def run(radius: float, thick: float, seeds: int, timeout: float) -> dict[str, Any]:
     """All turns of the slot and all seeds, one call each, warm."""
     path = Path(tempfile.mkdtemp()) / "slim.xml"
@@ -111,7 +99,7 @@ def run(radius: float, thick: float, seeds: int, timeout: float) -> dict[str, An
             if not rows:
                 asked()  # compiles
             moved, seconds = clocked(asked)
-            free = judged(robot, coal, scene, moved) if moved else None
+            free = judged(robot, coal, scene, moved)["free"] if moved else None
             rows.append({"seed": seed, "solved": bool(moved), "s": seconds, "rounds": int(moved.rounds), "free": free})
         times = [row["s"] for row in rows]
         p50, p95 = percentiles(times)

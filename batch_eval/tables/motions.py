@@ -324,3 +324,17 @@ def harvest_motions_markdown(result: dict[str, Any]) -> str:
         f"anything is {nearest:.1f} mm away; 2 mm are asked for.",
     ]
     return "\n".join([*lines, "", *said])
+
+
+def slit_markdown(result: dict[str, Any]) -> str:
+    """A row for each tip and plate, over all turns of the slot."""
+    many, most = result["seeds"], result["within_s"]
+    lines = [f"| tip, plate | solved within {most:g} s | of these free | p50 | slowest |", "| --- | --- | --- | --- | --- |"]
+    for case in result["cases"]:
+        slots = case["slots"].values()
+        within, free = (sum(slot[what] for slot in slots) for what in ("within", "free"))
+        times = sorted(row["s"] for slot in slots for row in slot["motions"])
+        name = f"{1e3 * case['tip_m']:g} mm, {1e3 * case['thick_m']:g} mm thick"
+        half, last = (duration(1e6 * x) for x in (times[len(times) // 2], times[-1]))
+        lines.append(f"| {name} | {within} of {many * len(slots)} | {free} | {half} | {last} |")
+    return "\n".join(lines)

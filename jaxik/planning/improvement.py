@@ -27,7 +27,7 @@ OWN = 32  # places of a way itself, among those that are strewn about it
 SPREADS = 0.2, 0.05, 0.1, 0.025  # of its length, by which they lie off it, one turn after the other
 SEARCHES = 4  # turns from one search to the next
 ROUNDS = 4 * CALL  # of such a search
-STEP, CUSHION = LOOKS[1][:2]  # of samples, and what they keep beyond the margin [m]; then all is proven
+STEP, CUSHION = LOOKS[1].step, LOOKS[1].cushion  # of samples, and what they keep beyond the margin [m]; then all is proven
 
 
 def improved(
@@ -111,7 +111,7 @@ class Improvement:
         lower, upper = (np.array(x) for x in zip(*boxes, strict=True))
         searches = Searches(self.space, ends[:, 0], list(ends[:, 1:]), lower, upper, int(seed), self.among)
         rows = np.arange(len(self.ways))
-        searches.grow(rows, np.full(len(rows), ROUNDS), LOOKS[0].step, self.cushion)
+        searches.grow(rows, np.full(len(rows), ROUNDS), LOOKS[0][0], self.cushion)
         rows = rows[searches.found.joined]
         found: list[np.ndarray | None] = [None] * len(self.ways)
         if len(rows):

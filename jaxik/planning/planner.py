@@ -306,7 +306,7 @@ def _straight(
     times = np.full(free.shape, np.inf)
     row, which = np.nonzero(free)
     begin, end = starts[row], goals[row, which]
-    proven = space.free_part(begin, end, LOOKS[0].step, among[row]) == 1.0  # most are told so sooner
+    proven = space.free_part(begin, end, LOOKS[0].step, among[row]) == 1.0  # most that are not are told sooner than by a proof
     moved = proven & (begin != end).any(axis=1)
     proven[moved] = space.proven_closely(begin[moved], end[moved], among[row[moved]])
     times[row, which] = np.where(proven, limits.straight(end - begin), np.inf)

@@ -57,7 +57,7 @@ def _weight(jaxpr: Any) -> int:
 @rule("cond")
 def _cond(s: Scalariser, eqn: Any, which: Array, *args: Array) -> list[Array]:
     p, branches, index = s.program, eqn.params["branches"], s.values(which).item()
-    if p.ops[index].code == "convert" and p.ops[p.ops[index].args[0]].type == "i1":
+    if len(branches) == 2 and p.ops[index].code == "convert" and p.ops[p.ops[index].args[0]].type == "i1":
         index = p.ops[index].args[0]  # JAX makes a number of a truth, of which the branch is to make one again
     known = p.constant.get(index)
     if known is not None:
