@@ -103,7 +103,7 @@ class HostKernel:
         operands = [_array(x, width) for x in leaves]
         count = _rows(operands, rows)
         shapes = [x.shape[1:] for x in operands[:rows]] + [x.shape for x in operands[rows:]]
-        key = tree, rows, double, tuple(shapes), "".join([x.dtype.char for x in operands])
+        key = tree, double, rows, tuple(shapes), "".join([x.dtype.char for x in operands])
         found = self.known.get(key)
         if found is None:
             found = self.known[key] = self._made(*key)
@@ -120,7 +120,7 @@ class HostKernel:
 
         return jax.jit(batch)
 
-    def _made(self, tree: Any, rows: int, double: bool, shapes: Any, kinds: str) -> tuple[Traced, call.Made, list[np.ndarray]]:
+    def _made(self, tree: Any, double: bool, rows: int, shapes: Any, kinds: str) -> tuple[Traced, call.Made, list[np.ndarray]]:
         """Returns the trace, its kernel, and the large arrays that the function closes over, which are operands."""
         if jax.default_backend() != "cpu":
             raise Unsupported("other platforms than a CPU")
