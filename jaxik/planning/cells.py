@@ -1,33 +1,38 @@
-"""Proofs that no way exists, by cells of the space of one to three joints.
+"""Proofs that no way exists, by cells of the space of an arm's first joints, one to three.
 
 A cell is blocked if at its middle the robot is deeper in something than any of its points moves within the cell: then it
 collides in all of the cell. A way would lead through cells with a face in common that are not blocked; where the start's reach
 no goal's, there is none [Zhang, Kim, Manocha 2008, "Efficient cell labelling and path non-existence computation using
 C-obstacle query"]. A cell is free if at its middle the clearance is greater than that; all others are halved, as long as they
 are connected to the start.
+
+A way of an arm of more joints is a way of its first ones, with nothing but what these move: where there is none of those, as
+where an upper arm cannot pass its own base, there is none.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from jaxik.collision.bvh import grouped, own_in
 from jaxik.collision.clearances import clearance
+from jaxik.collision.continuous_collision import joint_reaches
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.joint_turns import TURN, whole_turns
-from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.robot import Robot, solid_links
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.world import Carried, apart, together
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
 JOINTS = 3  # at most, since cells become too many
-CELLS, GRID = 2_000_000, 1 << 24  # that are measured, and that there are, at most
+CELLS, GRID = 2_000_000, 1 << 24  # that are measured, and that there are, at most, of all joints of an arm
+SOME, COARSE = 100_000, 1 << 20  # the same, of its first joints
 ROUNDING = 1e-6  # [m] of clearances and lengths
 
 
@@ -37,17 +42,32 @@ def separated(
     """Whether no way that keeps the margin of `space` leads from a start (n,) to any of the goals (g, n), inside the bounds of
     `space`, whatever turns its endless joints take: proven. It gives up at the moment `end` of `time.monotonic` [s].
 
-    False is no proof of the opposite: there are more joints than three, or one has a single limit; the cells that were looked
-    at do not tell; or the robot collides by what is not known to change only as fast as it moves: its own meshes."""
+    False is no proof of the opposite: it may be a matter of more joints than three, or one has a single limit; the cells that
+    were looked at may not tell; or the robot collides by what is not known to change only as fast as it moves, its own meshes.
+    """
     model = _by_depth(robot, scene)
     ranged = space.endless | np.isfinite(space.upper - space.lower)
-    if model is None or robot.num_joints > JOINTS or not ranged.all():
+    if model is None:
         return False
-    apart_robot, carried = apart(model)
+    n = robot.num_joints
+    for count in range(1, min(n, JOINTS) + 1):
+        part = model if count == n else model.part(0, count, base=True)
+        if ranged[:count].all() and solid_links(part):
+            most = (CELLS, GRID) if count == n else (SOME, COARSE)
+            if _apart(Ranges.of(space, part), part, scene, start[:count], goals[:, :count], *most, end):
+                return True
+    return False
+
+
+def _apart(
+    ranges: Ranges, model: Robot, scene: Scene | None, start: np.ndarray, goals: np.ndarray, most: int, grid: int, end: float
+) -> bool:
+    """Whether a start (k,) and all goals (g, k) of a robot of k joints are proven to be apart, by so many cells at most."""
+    alone, carried = apart(model)
     fixed = jax.tree_util.tree_map(np.asarray, grouped(scene, model)), carried
-    depth = lambda q: in_blocks(_clearances(apart_robot), q, fixed=fixed, double=True)[0]
-    cells = Cells(space, np.concatenate([start[None], goals]))
-    while cells.measured < CELLS and cells.open.size < GRID and time.monotonic() < end:
+    depth = lambda q: in_blocks(_clearances(alone), q, fixed=fixed, double=True)[0]
+    cells = Cells(ranges, np.concatenate([start[None], goals]))
+    while cells.measured < most and cells.open.size < grid and time.monotonic() < end:
         cells.halve()
         cells.judge(depth)
         if not cells.meet(cells.open):
@@ -67,15 +87,33 @@ def _by_depth(robot: Robot, scene: Scene | None) -> Robot | None:
     return dataclasses.replace(robot, pair_tables=(), self_pairs=pairs)
 
 
+class Ranges(NamedTuple):
+    """The space of an arm's first joints: their bounds `lower` and `upper` (k,), which are `endless`, the most that a unit of
+    each moves what they carry [m] (k,), and the margin [m]."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+    endless: np.ndarray
+    weights: np.ndarray
+    margin: float
+
+    @staticmethod
+    def of(space: CollisionChecker, part: Robot) -> Ranges:
+        """Those of a part of the robot of `space`, or of all of it."""
+        known = jax.tree_util.tree_map(np.asarray, part)
+        first = (each[: part.num_joints] for each in (space.lower, space.upper, space.endless))
+        return Ranges(*first, joint_reaches(known), float(space.margin))
+
+
 class Cells:
     """A grid of cells, those of endless joints in a ring, and which of them are `open`, not known to be blocked, and known to
     be `free`; `measured` counts those at whose middle the clearance was."""
 
-    def __init__(self, space: CollisionChecker, ends: np.ndarray):
-        n = len(space.endless)
-        self.margin, self.weights, self.ring, self.measured = float(space.margin), space.weights, space.endless, 0
-        self.lower = np.where(self.ring, -0.5 * TURN, space.lower)
-        self.width = np.where(self.ring, TURN, np.maximum(space.upper - space.lower, 1e-12))
+    def __init__(self, ranges: Ranges, ends: np.ndarray):
+        n = len(ranges.endless)
+        self.margin, self.weights, self.ring, self.measured = ranges.margin, ranges.weights, ranges.endless, 0
+        self.lower = np.where(self.ring, -0.5 * TURN, ranges.lower)
+        self.width = np.where(self.ring, TURN, np.maximum(ranges.upper - ranges.lower, 1e-12))
         self.ends = ends - whole_turns(self.ring, ends)
         self.open, self.free = np.ones((1,) * n, bool), np.zeros((1,) * n, bool)
 

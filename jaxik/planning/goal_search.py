@@ -26,28 +26,28 @@ def searched(
     starts: np.ndarray,
     goals: Sequence[np.ndarray],
     compared: bool,
-    seed: int,
-    rounds: int,
+    seed: int | Sequence[int],
+    rounds: np.ndarray,
     until: float,
     limits: Limits,
     told: Callable[[int, int], Any],
     among: np.ndarray,
 ) -> Found:
     """Ways from starts (b, n), each `among` what is in the scene of such a number (b,), to one of the goals (g, n) of each, by
-    so many `rounds`, `until` a moment of `time.monotonic` [s]. `told` is called with the rounds of the first one and with how
+    so many `rounds` (b,), `until` a moment of `time.monotonic` [s]. `told` is called with the rounds of the first one and with how
     many have ended.
 
     If they are `compared`, the one is taken to which the way takes the least time, by lines that begin and end at rest: the one
     that the search has come to, or another one that is nearer, if as much search again finds it."""
     some = zip(starts, goals, strict=True)
     others = [other_ways(space.robot, start, each, space.lower, space.upper) for start, each in some]
-    most = np.where([len(each) > 0 for each in others], int(np.ceil(NEAREST * rounds)), rounds).astype(int)
+    most = np.where([len(each) > 0 for each in others], np.ceil(NEAREST * rounds), rounds).astype(int)
     found = proven_ways(space, starts, goals, seed, most, _each(until, len(starts)), told, among)
     rows = [i for i, way in enumerate(found.ways) if way is None and len(others[i])]
     if rows:
         tell = lambda taken, ended: told(int(found.rounds[0]) + taken, len(starts) - len(rows) + ended)
         every = [np.concatenate([goals[i], others[i]]) for i in rows]
-        left = rounds - found.rounds[rows]
+        left = rounds[rows] - found.rounds[rows]
         _take(found, rows, proven_ways(space, starts[rows], every, seed, left, _each(until, len(rows)), tell, among[rows]))
     if compared and any(len(each) + len(more) > 1 for each, more in zip(goals, others, strict=True)):
         _compare(space, found, starts, goals, others, seed, until, limits, among)
@@ -73,7 +73,7 @@ def _compare(
     starts: np.ndarray,
     goals: Sequence[np.ndarray],
     others: Sequence[np.ndarray],
-    seed: int,
+    seed: int | Sequence[int],
     until: float,
     limits: Limits,
     among: np.ndarray,

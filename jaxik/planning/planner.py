@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -196,17 +197,26 @@ def _search(
     configurations were checked (b,)."""
     rows = np.array([i for i, way in enumerate(ways) if way is None and not ended.where[i]], int)
     until = np.inf if options.timeout is None else time.monotonic() + options.timeout * len(rows)
-    tell = lambda taken, done: told(taken, len(starts) - len(rows) + done)
-    sought = [goals[i] for i in rows]
-    found = searched(space, starts[rows], sought, compared, seed, options.rounds, until, limits, tell, among[rows])
-    for i, way, gap in zip(rows.tolist(), found.ways, found.gaps, strict=True):
-        ways[i] = way
-        if way is None:
-            none = separated(space, places[i].robot, places[i].scene, starts[i], goals[i], until)
-            ended.reason[i], ended.stuck[i] = int(Reason.NO_WAY if none else Reason.NOT_CONVERGED), gap
     rounds, checked = np.zeros((2, len(starts)), int)
-    rounds[rows], checked[rows] = found.rounds, found.checked
-    return rounds, checked
+    for attempt in itertools.count():  # anew with other samples, where trees were given up before the rounds are over
+        sought = [goals[i] for i in rows]
+        tell = lambda taken, done, rows=rows: told(int(rounds[rows[0]]) + taken, len(starts) - len(rows) + done)
+        left, drawn = options.rounds - rounds[rows], [seed, attempt] if attempt else seed
+        found = searched(space, starts[rows], sought, compared, drawn, left, until, limits, tell, among[rows])
+        rounds[rows] += found.rounds
+        checked[rows] += found.checked
+        again = []
+        for i, way, gap, taken in zip(rows.tolist(), found.ways, found.gaps, found.rounds.tolist(), strict=True):
+            ways[i] = way
+            if way is None:
+                none = not attempt and separated(space, places[i].robot, places[i].scene, starts[i], goals[i], until)
+                ended.reason[i], ended.stuck[i] = int(Reason.NO_WAY if none else Reason.NOT_CONVERGED), gap
+                again += [i] * bool(not none and taken and rounds[i] < options.rounds)
+            else:
+                ended.reason[i], ended.stuck[i] = int(Reason.SOLVED), np.nan
+        rows = np.array(again, int)
+        if not len(rows) or time.monotonic() > until:
+            return rounds, checked
 
 
 def _improve(space: CollisionChecker, ways: list[np.ndarray | None], seed: int, seconds: float, among: np.ndarray) -> None:

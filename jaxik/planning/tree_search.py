@@ -67,7 +67,7 @@ class Searches:
         goals: Sequence[np.ndarray],
         lower: np.ndarray,
         upper: np.ndarray,
-        seed: int,
+        seed: int | Sequence[int],
         among: np.ndarray,
     ):
         count, n = starts.shape
