@@ -94,9 +94,8 @@ class Coal(Peer):
     or of MJCF by its name.
 
     `broad` puts coal's dynamic tree of boxes before the pairs (Pinocchio's BroadPhaseManager), which `collides` may use.
-    `posture` is where joints beside the chain stand [rad, m], the others at their neutral positions. Of the pairs of links that
-    touch in most postures, by their meshes, those that the robot leaves out are left out, `as_robot`; `packages` are the folders
-    below which meshes lie.
+    `posture` is where joints beside the chain stand [rad, m], the others at their neutral positions. `as_robot` leaves out what
+    the robot does, as pairs of links whose meshes touch in most postures; `packages` are the folders below which meshes lie.
     """
 
     def __init__(

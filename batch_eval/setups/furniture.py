@@ -1,7 +1,7 @@
 """Problems from posture to posture among furniture, by a seed, for any robot: shelves, boxes, cages, tables.
 
-The furniture is that of MotionBenchMaker [Chamzas et al. 2022] in kind and size, its sizes scaled by the robot's reach; it stands
-before the robot, at a random place, height and turn. A posture is one at which the tip points at something in it, from a little
+The furniture is that of MotionBenchMaker [Chamzas et al. 2022] in kind and size, its sizes scaled by the robot's reach; it
+stands before the robot, at a random place, height and turn. A posture is one at which the tip points at something in it, from a little
 before it, by `solve_ik`; or one at random that is free. Each problem is of a seed of its own.
 """
 
@@ -50,8 +50,8 @@ class Problem(NamedTuple):
 
 class Piece(NamedTuple):
     """A piece of furniture in a frame of its own, x away from the robot and zero at its front, z up and zero at the least of
-    its heights that are of use: `boxes` (frame, edges), `cylinders` (place, radius, height), and the points (k, 3) and directions
-    (k, 3) at and along which a tool may point."""
+    its heights that are of use: `boxes` (frame, edges), `cylinders` (place, radius, height), and the points (k, 3) and
+    directions (k, 3) at and along which a tool may point."""
 
     boxes: list[tuple[np.ndarray, tuple[float, float, float]]]
     cylinders: list[tuple[np.ndarray, float, float]]
@@ -217,7 +217,7 @@ def cage(rng: np.random.Generator) -> Piece:
     cube = np.array([rng.uniform(0.3, 0.7) * wide, rng.uniform(-0.25, 0.25) * wide, 0.06])
     boxes.append((_frame(Rotation.identity(), cube), (0.07, 0.07, 0.07)))
     along = np.array([[1.0, 0.0, -0.3], [0.7, 0.0, -0.7]])
-    return Piece(boxes, [], np.tile(cube + [0.0, 0.0, 0.03], (2, 1)), along / np.linalg.norm(along, axis=1)[:, None])
+    return Piece(boxes, [], np.tile(cube + np.array([0.0, 0.0, 0.03]), (2, 1)), along / np.linalg.norm(along, axis=1)[:, None])
 
 
 def table(rng: np.random.Generator) -> Piece:

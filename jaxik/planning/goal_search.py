@@ -34,8 +34,8 @@ def searched(
     among: np.ndarray,
 ) -> Found:
     """Ways from starts (b, n), each `among` what is in the scene of such a number (b,), to one of the goals (g, n) of each, by
-    so many `rounds` (b,), `until` a moment of `time.monotonic` [s]. `told` is called with the rounds of the first one and with how
-    many have ended.
+    so many `rounds` (b,), `until` a moment of `time.monotonic` [s]. `told` is called with the rounds of the first one and with
+    how many have ended.
 
     If they are `compared`, the one is taken to which the way takes the least time, by lines that begin and end at rest: the one
     that the search has come to, or another one that is nearer, if as much search again finds it."""
