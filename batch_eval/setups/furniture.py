@@ -1,8 +1,8 @@
 """Problems from posture to posture among furniture, by a seed, for any robot: shelves, boxes, cages, tables.
 
 The furniture is that of MotionBenchMaker [Chamzas et al. 2022] in kind and size, its sizes scaled by the robot's reach; it
-stands before the robot, at a random place, height and turn. A posture is one at which the tip points at something in it, from a little
-before it, by `solve_ik`; or one at random that is free. Each problem is of a seed of its own.
+stands before the robot, at a random place, height and turn. A posture is one at which the tip points at something in it, from a
+little before it, by `solve_ik`; or one at random that is free. Each problem is of a seed of its own.
 """
 
 from __future__ import annotations
