@@ -31,6 +31,9 @@ from jaxik.planning.ways import LOOKS, blended
 from jaxik.reasons import Reason
 
 
+EARLY = 30_000  # rounds after which it is asked whether there is a way at all, before the search begins anew
+
+
 class PlanOptions(Options, who="plan_motion"):
     """The search and the timing of `plan_motion`."""
 
@@ -47,8 +50,8 @@ class PlanOptions(Options, who="plan_motion"):
         default=None, unit="rad/s3, m/s3", words="limits of jerk, one number or one a joint; None is no limit"
     )
     rounds: int = count(
-        default=50_000,
-        words="edges that the search tries at most; after 20, 50 and 70 % of them it looks closer, with finer samples",
+        default=100_000,
+        words="edges that the search tries at most; after 30, 60 and 80 % of them it looks closer, with finer samples",
     )
     timeout: float | None = number(
         default=None,
@@ -199,9 +202,10 @@ def _search(
     until = np.inf if options.timeout is None else time.monotonic() + options.timeout * len(rows)
     rounds, checked = np.zeros((2, len(starts)), int)
     for attempt in itertools.count():  # anew with other samples, where trees were given up before the rounds are over
+        most = EARLY if attempt == 0 else options.rounds
         sought = [goals[i] for i in rows]
         tell = lambda taken, done, rows=rows: told(int(rounds[rows[0]]) + taken, len(starts) - len(rows) + done)
-        left, drawn = options.rounds - rounds[rows], [seed, attempt] if attempt else seed
+        left, drawn = np.minimum(most, options.rounds - rounds[rows]), [seed, attempt] if attempt else seed
         found = searched(space, starts[rows], sought, compared, drawn, left, until, limits, tell, among[rows])
         rounds[rows] += found.rounds
         checked[rows] += found.checked

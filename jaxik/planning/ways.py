@@ -35,9 +35,9 @@ class Look(NamedTuple):
 
 
 LOOKS = (
-    Look(0.05, 0.003, 0.2, 1, 1.1, 1024),
-    Look(0.025, 0.001, 0.5, 2, 1.1, 1024),
-    Look(0.0125, 0.0, 0.7, 3, 1.1, 512),
+    Look(0.05, 0.003, 0.3, 1, 1.1, 4096),
+    Look(0.025, 0.001, 0.6, 2, 1.1, 4096),
+    Look(0.0125, 0.0, 0.8, 3, 1.1, 4096),
     Look(0.003125, 0.0, 1.0, 5, 1.01, 512),
 )
 POINTS, AGAIN = 14, 3  # of a way, between which lines are tried, and how often at most
