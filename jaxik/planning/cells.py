@@ -1,4 +1,4 @@
-"""Proofs that no way exists, by cells of the space of an arm's first joints, one to three.
+"""Proofs that no way exists, by cells of the space of one to three joints of an arm.
 
 A cell is blocked if at its middle the robot is deeper in something than any of its points moves within the cell: then it
 collides in all of the cell. A way would lead through cells with a face in common that are not blocked; where the start's reach
@@ -6,13 +6,15 @@ no goal's, there is none [Zhang, Kim, Manocha 2008, "Efficient cell labelling an
 C-obstacle query"]. A cell is free if at its middle the clearance is greater than that; all others are halved, as long as they
 are connected to the start.
 
-A way of an arm of more joints is a way of its first ones, with nothing but what these move: where there is none of those, as
-where an upper arm cannot pass its own base, there is none.
+A way of an arm of more joints is a way of its first ones, with nothing but what these move, and of a few that follow each
+other, with what they move of the arm against itself. Where there is none of those, as where an upper arm cannot pass its own
+shoulder, there is none.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import sys
 import time
 from typing import Any, NamedTuple
 
@@ -21,6 +23,7 @@ import numpy as np
 
 from jaxik.collision.bvh import grouped, own_in
 from jaxik.collision.clearances import clearance
+from jaxik.collision.contact_report import explain
 from jaxik.collision.continuous_collision import joint_reaches
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.joint_turns import TURN, whole_turns
@@ -32,7 +35,8 @@ from jaxik.spmd.host import host_kernels
 
 JOINTS = 3  # at most, since cells become too many
 CELLS, GRID = 2_000_000, 1 << 24  # that are measured, and that there are, at most, of all joints of an arm
-SOME, COARSE = 100_000, 1 << 20  # the same, of its first joints
+SOME, COARSE = 100_000, 1 << 20  # the same, of some joints
+LINE = 33  # configurations on a straight line, of which is told what they hit
 ROUNDING = 1e-6  # [m] of clearances and lengths
 
 
@@ -50,13 +54,30 @@ def separated(
     if model is None:
         return False
     n = robot.num_joints
-    for count in range(1, min(n, JOINTS) + 1):
-        part = model if count == n else model.part(0, count, base=True)
-        if ranged[:count].all() and solid_links(part):
-            most = (CELLS, GRID) if count == n else (SOME, COARSE)
-            if _apart(Ranges.of(space, part), part, scene, start[:count], goals[:, :count], *most, end):
+    for first, last in _parts(model, scene, space, start, goals[0]):
+        some = slice(first, last)
+        part = model.part(first, last, base=True) if last - first < n else model
+        about = None if first else scene
+        if ranged[some].all() and solid_links(part):
+            most = (CELLS, GRID) if last - first == n else (SOME, COARSE)
+            if _apart(Ranges.of(space, part, some), part, about, start[some], goals[:, some], *most, end):
                 return True
     return False
+
+
+def _parts(
+    model: Robot, scene: Scene | None, space: CollisionChecker, start: np.ndarray, goal: np.ndarray
+) -> list[tuple[int, int]]:
+    """The first and last joints, few ones first, of the parts of an arm that may have no way to a goal (n,): all others are
+    free on the straight line, which is a way of theirs. A part that does not begin at the base is one against itself."""
+    n, spans = model.num_joints, set()
+    for q in np.linspace(start, goal, LINE):
+        for contact in explain(model, scene, q, count=sys.maxsize, below=float(space.margin)).contacts:
+            ends = [model.link_joint[model.link_names.index(x)] for x in (contact.link, contact.other) if x in model.link_names]
+            spans.add((min(ends), max(ends)) if len(ends) == 2 else (0, ends[0]))
+    few = {(first, last) for first, last in spans if 0 < last - first <= (JOINTS if first == 0 else JOINTS - 1)}
+    some = {(0, count) for count in range(min((last for _, last in spans), default=n), JOINTS + 1) if count <= n}
+    return sorted(few | some | ({(0, n)} if n <= JOINTS else set()), key=lambda part: (part[1] - part[0], part))
 
 
 def _apart(
@@ -98,11 +119,10 @@ class Ranges(NamedTuple):
     margin: float
 
     @staticmethod
-    def of(space: CollisionChecker, part: Robot) -> Ranges:
-        """Those of a part of the robot of `space`, or of all of it."""
-        known = jax.tree_util.tree_map(np.asarray, part)
-        first = (each[: part.num_joints] for each in (space.lower, space.upper, space.endless))
-        return Ranges(*first, joint_reaches(known), float(space.margin))
+    def of(space: CollisionChecker, part: Robot, joints: slice) -> Ranges:
+        """Those of some joints of the robot of `space`, which are a part of it, or all of it."""
+        weights = joint_reaches(jax.tree_util.tree_map(np.asarray, part))
+        return Ranges(space.lower[joints], space.upper[joints], space.endless[joints], weights, float(space.margin))
 
 
 class Cells:

@@ -17,7 +17,7 @@ from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
 from jaxik.options import Options, count, flag, instance, number, per_joint
-from jaxik.planning.cells import separated
+from jaxik.planning.cells import JOINTS, separated
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.escape import escaped
 from jaxik.planning.goal_search import searched
@@ -30,8 +30,7 @@ from jaxik.planning.trajectory import JointPath, Trajectory, padded
 from jaxik.planning.ways import LOOKS, blended
 from jaxik.reasons import Reason
 
-
-EARLY = 30_000  # rounds after which it is asked whether there is a way at all, before the search begins anew
+EARLY = 30_000  # rounds after which it is asked of an arm of few joints whether there is a way, before they are sought anew
 
 
 class PlanOptions(Options, who="plan_motion"):
@@ -202,7 +201,7 @@ def _search(
     until = np.inf if options.timeout is None else time.monotonic() + options.timeout * len(rows)
     rounds, checked = np.zeros((2, len(starts)), int)
     for attempt in itertools.count():  # anew with other samples, where trees were given up before the rounds are over
-        most = EARLY if attempt == 0 else options.rounds
+        most = EARLY if attempt == 0 and starts.shape[1] <= JOINTS else options.rounds
         sought = [goals[i] for i in rows]
         tell = lambda taken, done, rows=rows: told(int(rounds[rows[0]]) + taken, len(starts) - len(rows) + done)
         left, drawn = np.minimum(most, options.rounds - rounds[rows]), [seed, attempt] if attempt else seed
@@ -220,7 +219,8 @@ def _search(
                 ended.reason[i], ended.stuck[i] = int(Reason.SOLVED), np.nan
         rows = np.array(again, int)
         if not len(rows) or time.monotonic() > until:
-            return rounds, checked
+            break
+    return rounds, checked
 
 
 def _improve(space: CollisionChecker, ways: list[np.ndarray | None], seed: int, seconds: float, among: np.ndarray) -> None:
@@ -247,7 +247,7 @@ def _begun(
     """The starts (b, n) from which ways are sought, and by their number the ways (k, n) out of collision and back inside the
     limits that lead to those that are not as they were given."""
     needed = np.flatnonzero(np.isin(judged(robot, space, starts, among), (Reason.COLLISION, Reason.LIMITS))).tolist()
-    tried = {i: escaped(space, robot, places[i].scene, starts[i]) for i in needed}
+    tried = {i: escaped(space, robot, places[i].scene, starts[i], among[i : i + 1]) for i in needed}
     found, starts = {i: way for i, way in tried.items() if way is not None}, np.array(starts)
     for i, way in found.items():
         starts[i] = way[-1]
