@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxik.kinematics.joint_turns import whole_turns
 from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker
-from jaxik.planning.shortcuts import Places, chains
+from jaxik.planning.shortcuts import Places, chains, tightened
 from jaxik.planning.trajectory import JointPath
 from jaxik.planning.tree_search import Searches
 from jaxik.spmd.trace import TEAM_SIZE
@@ -40,8 +40,6 @@ LOOKS = (
     Look(0.0125, 0.0, 0.7, 3, 1.1, 512),
     Look(0.003125, 0.0, 1.0, 5, 1.01, 512),
 )
-POINTS, AGAIN = 14, 3  # of a way, between which lines are tried, and how often at most
-BETTER = 0.95  # times as long as before, from which on it is not tried again
 SHARES = 0.5 ** np.arange(1.0, 6.0)  # of the shorter line at a corner, at which its bend begins and ends
 CHORDS = 8
 CALL = 128  # rounds of the search between two looks at the clock
@@ -201,9 +199,7 @@ def shortened(
 ) -> tuple[list[np.ndarray | None], np.ndarray]:
     """Waypoints (k, n) of shorter ways between which all straight lines are proven free, or None where no such chain of lines
     was found; and how many configurations were looked at for each."""
-    ways, looked = list(ways), np.zeros(len(ways), int)
-    places: list[Any] = [None] * len(ways)
-    found: list[np.ndarray] = [np.zeros(0, int)] * len(ways)
+    places, found, looked = tightened(space, ways, step, cushion, among)
 
     def chained(rows: list[int]) -> None:
         """The shortest chains of these rows' places."""
@@ -212,17 +208,6 @@ def shortened(
         for i, each in zip(rows, chain, strict=True):
             found[i] = each
 
-    left = list(range(len(ways)))
-    for _ in range(AGAIN):
-        lengths = {i: space.length(np.diff(ways[i], axis=0)) for i in left}
-        for i in left:
-            places[i] = Places.on(ways[i], lengths[i], max(lengths[i].sum() / POINTS, step))
-        chained(left)
-        for i in left:
-            ways[i] = places[i].points[found[i]] if len(found[i]) else ways[i]
-        left = [i for i in left if len(found[i]) and space.length(np.diff(ways[i], axis=0)).sum() <= BETTER * lengths[i].sum()]
-        if not left:
-            break
     return proven_chains(space, places, found, chained, among), looked
 
 
