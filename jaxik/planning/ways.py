@@ -159,7 +159,7 @@ class Clock:
 
 
 def kept_at(space: CollisionChecker, ends: Sequence[np.ndarray], among: np.ndarray) -> list[np.ndarray]:
-    """By how much more than the margin each of the ends (e, n) keeps away from what is around, the most of `CUSHIONS` (e,) [m]."""
+    """By how much more than the margin each of the ends (e, n) keeps away from things, the most of `CUSHIONS` (e,) [m]."""
     rows, counts = np.concatenate(ends), list(map(len, ends))
     hit = space.hits(
         np.tile(rows, (len(CUSHIONS), 1)), np.repeat(CUSHIONS, len(rows)), np.tile(np.repeat(among, counts), len(CUSHIONS))
