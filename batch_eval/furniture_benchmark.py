@@ -27,7 +27,6 @@ from setups.furniture import Arm, problems
 
 import jaxik
 from jaxik.planning import plan_motion
-from jaxik.reasons import Reason
 
 HERE = Path(__file__).parent
 SIDES = 1.2  # [rad] to which arms on a torso reach
@@ -123,7 +122,7 @@ def run(arm: Arm, coal: Coal, count: int) -> dict[str, Any]:
         "joints": robot.num_joints,
         "problems": len(asked),
         "solved": len(solved),
-        "no_way": sum(moved.reason == Reason.NO_WAY for moved in found),
+        "no_way": sum(moved.reason == jaxik.Reason.NO_WAY for moved in found),
         "free": sum(verdict["free"] for verdict in verdicts),
         "inside": sum(verdict["inside"] for verdict in verdicts),
         "velocity": max(float(np.max(np.abs(state.velocity) / velocity)) for state in peak),
@@ -131,7 +130,7 @@ def run(arm: Arm, coal: Coal, count: int) -> dict[str, Any]:
         "p50_ms": 1e3 * p50,
         "p95_ms": 1e3 * p95,
         "slowest_ms": 1e3 * max(times),
-        "no_way_ms": [1e3 * seconds for moved, seconds in each if moved.reason == Reason.NO_WAY],
+        "no_way_ms": [1e3 * seconds for moved, seconds in each if moved.reason == jaxik.Reason.NO_WAY],
         "rounds": [float(x) for x in np.percentile([moved.rounds for _, moved, _ in solved], [50, 95, 100])],
         "narrow": sum(min(one.clearance) < 0.005 for one in asked),
         "failed": {one.name: moved.why for one, moved in zip(asked, found, strict=True) if not moved},

@@ -60,7 +60,7 @@ class Piece(NamedTuple):
 
 
 def problems(arm: Arm, count: int, first: int = 0) -> Iterator[Problem]:
-    """So many problems, of the seeds from `first` on, each kind of furniture in turn."""
+    """Problems of the seeds from `first` on, so many, each kind of furniture in turn."""
     place, found = measured(arm.robot), 0
     for seed in range(first, first + 10 * count):
         rng = np.random.default_rng(seed)

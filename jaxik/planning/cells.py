@@ -120,7 +120,7 @@ class Ranges(NamedTuple):
 
     @staticmethod
     def of(space: CollisionChecker, part: Robot, joints: slice) -> Ranges:
-        """Those of some joints of the robot of `space`, which are a part of it, or all of it."""
+        """The space of some joints of the robot of `space`, which are a part of it, or all of it."""
         weights = joint_reaches(jax.tree_util.tree_map(np.asarray, part))
         return Ranges(space.lower[joints], space.upper[joints], space.endless[joints], weights, float(space.margin))
 

@@ -204,7 +204,7 @@ def _search(
         most = EARLY if attempt == 0 and starts.shape[1] <= JOINTS else options.rounds
         sought = [goals[i] for i in rows]
         tell = lambda taken, done, rows=rows: told(int(rounds[rows[0]]) + taken, len(starts) - len(rows) + done)
-        left, drawn = np.minimum(most, options.rounds - rounds[rows]), [seed, attempt] if attempt else seed
+        left, drawn = np.minimum(most, options.rounds - rounds[rows]), (seed, attempt) if attempt else seed
         found = searched(space, starts[rows], sought, compared, drawn, left, until, limits, tell, among[rows])
         rounds[rows] += found.rounds
         checked[rows] += found.checked

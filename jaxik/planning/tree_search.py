@@ -68,7 +68,7 @@ class Searches:
         goals: Sequence[np.ndarray],
         lower: np.ndarray,
         upper: np.ndarray,
-        seed: int | Sequence[int],
+        seed: int | tuple[int, int],
         among: np.ndarray,
     ):
         count, n = starts.shape
@@ -164,7 +164,7 @@ class Reach(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def _offset(seed: int, draw: int, n: int) -> np.ndarray:
+def _offset(seed: int | tuple[int, int], draw: int, n: int) -> np.ndarray:
     """Where the samples of the search of such a number begin (n,), the first time it is 1."""
     return np.random.default_rng(seed).integers(0, 2**32, (draw, n), dtype=np.uint32)[-1]
 
