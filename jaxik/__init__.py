@@ -11,6 +11,9 @@ one configuration, and is for `jit`, `vmap` and `grad`; "Host driver." takes man
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from jaxik import sources as sources  # first: it notes when
+
+# isort: split
 from jaxik import analytic, collision, costs, dynamics, files, fitting, homotopy, ik, kinematics, optimise, spatial, spmd
 from jaxik.analytic import closed_form
 from jaxik.collision import Scene, clearance, collides, explain, make_scene, motion_clearance

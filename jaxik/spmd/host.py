@@ -18,7 +18,8 @@ import numpy as np
 from jaxik.spmd import call
 from jaxik.spmd.program import Unsupported
 from jaxik.spmd.threads import CHUNK, DONE, FIRST, INNER, NEXT, TOTAL, VECTORS
-from jaxik.spmd.trace import Traced, trace
+from jaxik.spmd.trace import trace
+from jaxik.spmd.trace_records import Record, keep, recalled, record_name
 
 PAYS = 4  # chunks a thread for which it is worth to wake one from Python, about 40 us
 _NARROW = {np.dtype(np.int64): np.dtype(np.int32), np.dtype(np.uint64): np.dtype(np.uint32)}
@@ -37,7 +38,7 @@ class HostKernel:
 
     def __init__(self, function: Callable[..., Any], lanes: int):
         self.function, self.lanes = function, lanes
-        self.known: dict[Any, tuple[Traced, call.Made, list[np.ndarray]]] = {}
+        self.known: dict[Any, tuple[list[Any], call.Made, list[np.ndarray]]] = {}
 
     def __reduce__(self) -> Any:
         return HostKernel, (self.function, self.lanes)  # another process makes its own
@@ -107,9 +108,9 @@ class HostKernel:
         found = self.known.get(key)
         if found is None:
             found = self.known[key] = self._made(*key)
-        traced, made, more = found
+        outputs, made, more = found
         operands += more
-        return made, operands, [np.empty((count, *a.shape), a.dtype) for a in traced.outputs], count
+        return made, operands, [np.empty((count, *a.shape), a.dtype) for a in outputs], count
 
     @functools.cached_property
     def by_xla(self) -> Callable[..., Any]:
@@ -120,17 +121,30 @@ class HostKernel:
 
         return jax.jit(batch)
 
-    def _made(self, tree: Any, double: bool, rows: int, shapes: Any, kinds: str) -> tuple[Traced, call.Made, list[np.ndarray]]:
-        """Returns the trace, its kernel, and the large arrays that the function closes over, which are operands."""
+    def _made(
+        self, tree: Any, double: bool, rows: int, shapes: Any, kinds: str
+    ) -> tuple[list[Any], call.Made, list[np.ndarray]]:
+        """Returns what the results are, the kernel, and the large arrays that the function closes over, which are operands. The
+        function is traced if no record tells them."""
         if jax.default_backend() != "cpu":
             raise Unsupported("other platforms than a CPU")
+        shared = lambda count: tuple(k >= rows for k in range(count))
+        name = record_name(self.function, tree, double, rows, shapes, kinds)
+        record = None if name is None else recalled(name)
+        if record is not None:
+            made = call.found(record.digest, shared(len(shapes) + len(record.arrays)))
+            if made is not None:
+                return record.outputs, made, record.arrays
         with jax.enable_x64(double):
             flat = lambda *x: self.function(*jax.tree_util.tree_unflatten(tree, x))
             traced, _, more = trace(flat, [jax.ShapeDtypeStruct(s, np.dtype(k)) for s, k in zip(shapes, kinds, strict=True)])
         if any(isinstance(x, jax.core.Tracer) for x in more):
             raise Unsupported("traced arrays that are closed over")
         arrays = [np.ascontiguousarray(x) for x in more]
-        return traced, call.made(traced, tuple(k >= rows for k in range(len(traced.inputs)))), arrays
+        made = call.made(traced, shared(len(traced.inputs)))
+        if name is not None:
+            keep(name, Record(traced.digest, traced.outputs, arrays))
+        return traced.outputs, made, arrays
 
 
 def host_kernels(lanes: int, known: int = 64) -> Callable[[Callable[..., Any]], Callable[..., HostKernel]]:
