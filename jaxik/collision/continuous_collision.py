@@ -110,13 +110,13 @@ def motion_clearance(
             raise ValueError(f"{who}: resolution is {float(resolution):g}; it is above zero [m]")
     dtype = jnp.result_type(start, goal)  # of all, so that one kernel serves every caller
     each = (jnp.asarray(x, dtype) for x in (start, goal, margin, resolution, enough, size_of(scene)))
-    return _marched(robot, False, as_wide(grouped(scene, robot), start) or None, *each)
+    return _marched(robot, as_wide(grouped(scene, robot), start) or None, *each)
 
 
 def motion_collides(robot: Robot, start: Any, goal: Any, margin: Any, resolution: Any, size: Any, obstacles: Any) -> Any:
     """Whether a motion is not proven to keep the margin: `~motion_clearance(.., enough=margin).free`, known sooner, since any
     sample that touches ends it. The obstacles are grouped, their scene is of such a `size_of`; nothing is checked. Traced."""
-    return ~_marched(robot, True, obstacles or None, start, goal, margin, resolution, margin, size).free
+    return ~_advanced(True, robot, obstacles or None, start, goal, margin, resolution, margin, size).free
 
 
 @functools.lru_cache(maxsize=64)
@@ -128,9 +128,9 @@ def joint_reaches(robot: Robot) -> np.ndarray:
     return np.array([float(np.max(speeds(list(one)))) for one in np.eye(robot.num_joints)])
 
 
-@kernel(models=2)
-def _marched(robot: Robot, first: bool, scene: Any, start: Any, goal: Any, *numbers: Any) -> MotionClearance:
-    found = _advanced(first, *map(stop_gradients, (robot, scene, start, goal, *numbers)))
+@kernel(models=1)
+def _marched(robot: Robot, scene: Any, start: Any, goal: Any, *numbers: Any) -> MotionClearance:
+    found = _advanced(False, *map(stop_gradients, (robot, scene, start, goal, *numbers)))
     nearest = start + found.nearest * (goal - start)
     return found._replace(clearance=_sloped(found.clearance, clearance(robot, scene, nearest)))
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from jaxik.spmd import cache, machine
 from jaxik.spmd.emit import Emitter
+from jaxik.spmd.garbage import uncollected
 from jaxik.spmd.handler import Row, handler
 from jaxik.spmd.program import Op, Program
 from jaxik.spmd.scalarise import Unsupported, scalarised, type_of
@@ -150,6 +151,7 @@ def _stored(name: str) -> Made | None:
     return None
 
 
+@uncollected()
 def _make(traced: Traced, shared: tuple[bool, ...], name: str) -> Made:
     planned = plan(traced, shared, name)
     image = machine.compiled(planned.text, len(planned.needed) > QUICK)

@@ -89,7 +89,8 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
             if found is None:
                 return function(*args, **named)  # says what is wrong in its own words, of what was given
             if order is not None and not moving:
-                found[0].order = ordering(_flattened(order, f"the order of {name}", fixed, moving, tree), shapes)
+                ordered = _flattened(order, f"the order of {name}", fixed, moving, tree)
+                found[0].order_of = functools.partial(ordering, ordered, shapes, width == np.float64)
             # what a function of models closes over is theirs; of another it may be another array in the next call
             if key is not None and not any(isinstance(x, jax.core.Tracer) or not models for x in found[2]):
                 known.keep(key, found)

@@ -16,6 +16,7 @@ import jax
 import numpy as np
 
 from jaxik.spmd import call
+from jaxik.spmd.garbage import uncollected
 from jaxik.spmd.program import Unsupported
 from jaxik.spmd.threads import CHUNK, DONE, FIRST, INNER, NEXT, TOTAL, VECTORS
 from jaxik.spmd.trace import trace
@@ -121,6 +122,7 @@ class HostKernel:
 
         return jax.jit(batch)
 
+    @uncollected()
     def _made(
         self, tree: Any, double: bool, rows: int, shapes: Any, kinds: str
     ) -> tuple[list[Any], call.Made, list[np.ndarray]]:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
+from jaxik.spmd.garbage import uncollected
 from jaxik.spmd.tangents import custom, is_linear
 
 _OPERAND = 512  # entries of an array that is closed over, from which it is an operand: another table compiles nothing
@@ -29,9 +30,10 @@ def on_one_device() -> Any:
 class Traced:
     """A jaxpr whose constants are numbers; what it closed over beside them are its last arguments. A derivative's last
     constants are the unit vectors along which it is one, so many `seeds`, and its first results are the `values` of another.
-    Its `order` is a program of the same first arguments: lanes for which it gives like numbers do alike."""
+    Its `order` is a program of the same first arguments: lanes for which it gives like numbers do alike; it is made by
+    `order_of` when it is first asked for, since most batches are small."""
 
-    order: Traced | None = None
+    order_of: Callable[[], Traced | None] | None = None
 
     def __init__(self, closed: ClosedJaxpr, seeds: int = 0, name: str = "", values: Traced | None = None):
         self.closed, self.seeds, self.values = closed, seeds, values
@@ -45,6 +47,10 @@ class Traced:
     @property
     def outputs(self) -> list[Any]:
         return [v.aval for v in self.closed.jaxpr.outvars]
+
+    @functools.cached_property
+    def order(self) -> Traced | None:
+        return self.order_of() if self.order_of is not None else None
 
     @functools.cached_property
     def digest(self) -> str:
@@ -63,7 +69,7 @@ class Traced:
             with on_one_device():
                 way, seeds = _derivative(self.closed, active)
             found = Traced(way, seeds, f"the derivative of {self.name}", self)
-            found.order = self.order
+            found.order_of = lambda: self.order
             self.derivatives[active] = found if self._is_matrix(found) else None
         return self.derivatives[active]
 
@@ -75,6 +81,7 @@ class Traced:
         return not custom(self.closed.jaxpr) or is_linear(closed.jaxpr, variables, closed.consts, len(self.outputs))
 
 
+@uncollected()
 def trace(function: Callable[..., Any], args: Sequence[Any], team: bool = False) -> tuple[Traced, Any, list[Any]]:
     """The function of flat `args`, the tree of its results, and what it closes over that is an operand; a `team`'s lane may
     speak to the others."""
@@ -93,9 +100,11 @@ def trace(function: Callable[..., Any], args: Sequence[Any], team: bool = False)
     return Traced(ClosedJaxpr(whole, numbers)), tree, more
 
 
-def ordering(function: Callable[..., Any], args: Sequence[Any]) -> Traced | None:
-    """The program of an order, a number from 0 to 1; None where there is none, or it would have operands of its own."""
-    traced, _, more = trace(function, args)
+def ordering(function: Callable[..., Any], args: Sequence[Any], double: bool) -> Traced | None:
+    """The program of an order, a number from 0 to 1, in such a width; None where there is none, or it would have operands of
+    its own."""
+    with jax.enable_x64(double):
+        traced, _, more = trace(function, args)
     return None if more or not traced.outputs else traced
 
 
