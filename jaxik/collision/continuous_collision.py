@@ -38,7 +38,7 @@ from jaxik.collision.volumes import box_spheres, xp_of
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.link_distance_table import PairTable
 from jaxik.kinematics.robot import Robot, as_configuration, solid_links
-from jaxik.spatial.algebra import ZERO, Frame, Vec3, traced
+from jaxik.spatial.algebra import ZERO, Frame, Vec3, constants, traced
 from jaxik.spmd import kernel
 
 SHALLOW = 0.005  # [m] of penetration, below which the bounds of tables may fall steeply
@@ -355,8 +355,9 @@ def _bounds(robot: Robot, link: int, other: int, turned: list[Any], travel: list
             speed = speed + turned[j]
             acceleration = acceleration + 2.0 * turned[j] * turning
         else:
-            speed = speed + turned[j] * arms[j]
-            acceleration = acceleration + turned[j] * arms[j] * (turned[j] + 2.0 * turning)
+            moved = turned[j] * arms[j]
+            speed = speed + moved
+            acceleration = acceleration + moved * (turned[j] + 2.0 * turning)
             turning = turning + turned[j]
     return _Bounds(speed, acceleration, ever)
 
@@ -398,13 +399,13 @@ def _speeds(robot: Robot, rows: list[_Row], q: Any, moved: Any) -> Any:
         corners = _corners(robot, link)
         centre, radius = (x[0] for x in balls_of(corners[None], 0.0, xp_of(corners)))
         linear, angular = ZERO, ZERO
+        place = (root, *frames.joints)[robot.link_joint[link]] @ Vec3(*constants(centre))
         found[link, robot.link_joint[link]] = jnp.zeros((), q.dtype)
         for j in reversed(range(robot.link_joint[link])):
             axis, frame = frames.axes[j] * rates[j], frames.joints[j]
             if robot.is_prismatic[j]:
                 linear = linear + axis
             else:
-                place = frames.joints[robot.link_joint[link] - 1] @ Vec3(*traced(centre))
                 linear, angular = linear + axis.cross(place - frame.translation), angular + axis
             found[link, j] = jnp.sqrt(linear.dot(linear)) + radius * jnp.sqrt(angular.dot(angular))
     return _most([[found[each] for each in row.moved] for row in rows], q.dtype)

@@ -54,6 +54,12 @@ class CollisionChecker:
         self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, robot) if self.world.body.carried else robot)
         self.checked = 0
 
+    def prepare(self) -> None:
+        """Has what proves motions made beside what is asked first."""
+        asked, shared = np.zeros((1, 2 * len(self.weights) + 1), np.float32), (np.float32(RESOLUTION),)
+        for world in filter(None, (self.volumes, self.world)):
+            world.ahead(_moves, lambda world=world: world.each(_moves, asked, None, sized=True, shared=shared))
+
     def length(self, moved: np.ndarray) -> np.ndarray:
         """The length of differences (..., n) between configurations [m]."""
         return np.linalg.norm(moved * self.weights, axis=-1)

@@ -149,6 +149,7 @@ def _planned(
     limits = motion_limits("plan_motion", robot, options.velocity, options.acceleration, (robot.num_joints,))
     jerk = None if options.jerk is None else limit_of("plan_motion", "jerk", options.jerk, (robot.num_joints,))
     space = CollisionChecker(robot, scene, options.margin, winding=options.winding)
+    space.prepare()
     among = np.arange(len(asked.starts)) if space.world.several else np.zeros(len(asked.starts), int)
     places = _places(robot, scene, space, options, len(asked.starts))
     starts, escapes = _begun(robot, space, places, asked.starts, among) if options.escape else (asked.starts, {})

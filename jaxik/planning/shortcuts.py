@@ -83,6 +83,12 @@ class Places:
         self.lines[lines[:, 1], lines[:, 0]] = HIT
 
 
+def prepare(space: CollisionChecker, way: np.ndarray) -> None:
+    """Has what draws ways (k, n) tight made beside what searches them."""
+    ask = lambda: chains(space, [Places.on(way)], np.inf, np.zeros(1), np.zeros(1, int))
+    space.world.ahead(shortest, ask)
+
+
 def tightened(
     space: CollisionChecker, ways: Sequence[np.ndarray], step: float, cushion: np.ndarray, among: np.ndarray
 ) -> tuple[list[Places], list[np.ndarray], np.ndarray]:

@@ -8,6 +8,9 @@ from __future__ import annotations
 import array
 import ctypes
 import functools
+import os
+import threading
+import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -24,6 +27,11 @@ from jaxik.spmd.trace_records import Record, keep, recalled, record_name
 
 PAYS = 4  # chunks a thread for which it is worth to wake one from Python, about 40 us
 _NARROW = {np.dtype(np.int64): np.dtype(np.int32), np.dtype(np.uint64): np.dtype(np.uint32)}
+
+
+_making: weakref.WeakKeyDictionary[HostKernel, threading.RLock] = weakref.WeakKeyDictionary()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_making.clear)  # nobody goes on with what another thread was making
 
 
 class HostKernel:
@@ -108,10 +116,18 @@ class HostKernel:
         key = tree, double, rows, tuple(shapes), "".join([x.dtype.char for x in operands])
         found = self.known.get(key)
         if found is None:
-            found = self.known[key] = self._made(*key)
+            found = self._once(key)
         outputs, made, more = found
         operands += more
         return made, operands, [np.empty((count, *a.shape), a.dtype) for a in outputs], count
+
+    def _once(self, key: Any) -> tuple[list[Any], call.Made, list[np.ndarray]]:
+        """Makes a kernel, or waits for the thread that does."""
+        with _making.setdefault(self, threading.RLock()):
+            found = self.known.get(key)
+            if found is None:
+                found = self.known[key] = self._made(*key)
+            return found
 
     @functools.cached_property
     def by_xla(self) -> Callable[..., Any]:
