@@ -201,11 +201,15 @@ def digest(closed: ClosedJaxpr) -> str:
     return _Digest().of(closed).hex()[:32]
 
 
+_PLAIN = frozenset((bool, int, str, type(None)))
+
+
 class _Digest:
     """The hash of a jaxpr, and of those inside it, of which many are one and the same."""
 
     def __init__(self) -> None:
         self.known: dict[int, bytes] = {}  # of the jaxprs by id: the outermost keeps them all
+        self.texts: dict[int, bytes] = {}  # of what else is in them, by id, likewise
         self.kind = functools.cache(lambda aval: aval.str_short().encode())
         self.name = functools.cache(lambda dtype: f"{dtype}".encode())
 
@@ -244,7 +248,9 @@ class _Digest:
             self.value(v.val, content, v.aval) if isinstance(v, Literal) else content.update(b">%b" % number(v))
 
     def value(self, value: Any, content: Any, aval: Any = None) -> None:
-        if isinstance(value, ClosedJaxpr):
+        if aval is None and type(value) in _PLAIN:
+            content.update(b"%r;" % (value,))
+        elif isinstance(value, ClosedJaxpr):
             content.update(self.of(value))
         elif isinstance(value, Jaxpr):
             content.update(self.jaxpr(value))
@@ -263,6 +269,12 @@ class _Digest:
                 content.update(f"{key}:".encode())
                 self.value(value[key], content)
         else:
-            text = f"{type(value).__name__}.{value.name}" if isinstance(value, enum.Enum) else repr(value)
-            # what has an address in its name is itself and nothing else
-            content.update((uuid.uuid4().hex if " at 0x" in text else text + ";").encode())
+            text = self.texts.get(id(value))  # of a mesh or a sharding that all calls have
+            if text is None:
+                text = self.texts[id(value)] = self.text(value).encode()
+            content.update(text)
+
+    def text(self, value: Any) -> str:
+        text = f"{type(value).__name__}.{value.name}" if isinstance(value, enum.Enum) else repr(value)
+        # what has an address in its name is itself and nothing else
+        return uuid.uuid4().hex if " at 0x" in text else text + ";"
