@@ -5,7 +5,6 @@ import gc
 import os
 from collections.abc import Iterator
 
-
 _pausing = False
 
 
