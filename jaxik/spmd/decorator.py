@@ -76,9 +76,9 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
         leaves, tree = jax.tree_util.tree_flatten(rest)
         if not all(isinstance(x, jax.Array) or np.asarray(x).dtype.kind in "biuf" for x in leaves):
             return function(*args, **named)  # what is no number is the function's own to refuse
-        leaves = [x if isinstance(x, jax.Array) else jnp.asarray(x) for x in leaves]
-        operands = [*(numbers[i] for i in moving), *leaves]
-        shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type) for x in operands]
+        operands = [*(numbers[i] for i in moving), *map(_operand, leaves)]
+        weak = [isinstance(x, jax.Array) and x.weak_type for x in operands]
+        shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=w) for x, w in zip(operands, weak, strict=True)]
         width, kinds = jnp.result_type(float), tuple(map(type, numbers))  # 1, 1.0 and True are equal
         key = None if moving else (fixed, kinds, tree, tuple((x.shape, x.dtype, x.weak_type) for x in shapes), width)
         found = known.get(key)
@@ -122,6 +122,13 @@ def _flattened(function: Callable[..., Any], name: str, fixed: Any, moving: list
 
     flat.__name__ = name
     return flat
+
+
+def _operand(x: Any) -> Any:
+    """A number or an array as JAX takes it. NumPy's stay so: each shape that becomes one of JAX's compiles a program of XLA."""
+    if isinstance(x, np.ndarray | np.generic) and x.dtype.isnative and x.dtype.itemsize <= 8:
+        return np.asarray(x, jax.dtypes.canonicalize_dtype(x.dtype))
+    return x if isinstance(x, jax.Array) else jnp.asarray(x)
 
 
 def _keywords(function: Callable[..., Any]) -> frozenset[str]:
