@@ -56,9 +56,10 @@ class CollisionChecker:
 
     def prepare(self) -> None:
         """Has what proves motions made beside what is asked first."""
-        asked, shared = np.zeros((1, 2 * len(self.weights) + 1), np.float32), (np.float32(RESOLUTION),)
-        for world in filter(None, (self.volumes, self.world)):
-            world.ahead(_moves, lambda world=world: world.each(_moves, asked, None, sized=True, shared=shared))
+        still, shared = (1, 2 * len(self.weights) + 1), (np.float32(RESOLUTION),)
+        for world in (self.world,) if self.volumes is None else (self.volumes, self.world):
+            ask = lambda world=world: world.each(_moves, np.zeros(still, np.float32), None, sized=True, shared=shared)
+            world.ahead(_moves, ask)
 
     def length(self, moved: np.ndarray) -> np.ndarray:
         """The length of differences (..., n) between configurations [m]."""
