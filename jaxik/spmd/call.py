@@ -18,9 +18,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxik.garbage import uncollected
 from jaxik.spmd import cache, machine
 from jaxik.spmd.emit import Emitter
-from jaxik.spmd.garbage import uncollected
 from jaxik.spmd.handler import Row, handler
 from jaxik.spmd.program import Op, Program
 from jaxik.spmd.scalarise import Unsupported, scalarised, type_of

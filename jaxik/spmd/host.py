@@ -18,8 +18,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxik.garbage import uncollected
 from jaxik.spmd import call
-from jaxik.spmd.garbage import uncollected
 from jaxik.spmd.program import Unsupported
 from jaxik.spmd.threads import CHUNK, DONE, FIRST, INNER, NEXT, TOTAL, VECTORS
 from jaxik.spmd.trace import trace

@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 import functools
 import hashlib
+import threading
 import uuid
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
-from jaxik.spmd.garbage import uncollected
+from jaxik.garbage import uncollected
 from jaxik.spmd.tangents import custom, is_linear
 
 _OPERAND = 512  # entries of an array that is closed over, from which it is an operand: another table compiles nothing
@@ -47,6 +48,10 @@ class Traced:
     @property
     def outputs(self) -> list[Any]:
         return [v.aval for v in self.closed.jaxpr.outvars]
+
+    @property
+    def has_effects(self) -> bool:
+        return bool(self.closed.effects)
 
     @functools.cached_property
     def order(self) -> Traced | None:
@@ -81,13 +86,48 @@ class Traced:
         return not custom(self.closed.jaxpr) or is_linear(closed.jaxpr, variables, closed.consts, len(self.outputs))
 
 
+class Recalled(Traced):
+    """A trace without effects of which a record tells the name of its kernel: it is made `again` when more is asked, as by a
+    derivative or another kernel around it."""
+
+    has_effects = False
+
+    def __init__(self, name: str, digest: str, inputs: list[Any], outputs: list[Any], again: Callable[[], Traced]):
+        self.name, self.seeds, self.values, self.derivatives = name, 0, None, {}
+        self.digest, self.again, self._ends = digest, again, (inputs, outputs)
+
+    @functools.cached_property
+    def closed(self) -> ClosedJaxpr:  # type: ignore[override]
+        return self.again().closed
+
+    @property
+    def inputs(self) -> list[Any]:
+        return self._ends[0]
+
+    @property
+    def outputs(self) -> list[Any]:
+        return self._ends[1]
+
+
+_inside = threading.local()
+
+
+def is_inside() -> bool:
+    """Whether this thread traces a function at the moment, of which what is traced is part."""
+    return getattr(_inside, "depth", 0) > 0
+
+
 @uncollected()
 def trace(function: Callable[..., Any], args: Sequence[Any], team: bool = False) -> tuple[Traced, Any, list[Any]]:
     """The function of flat `args`, the tree of its results, and what it closes over that is an operand; a `team`'s lane may
     speak to the others."""
     axes = [(TEAM, TEAM_SIZE)] if team else None
-    with on_one_device():
-        closed, shape = jax.make_jaxpr(function, axis_env=axes, return_shape=True)(*args)
+    _inside.depth = getattr(_inside, "depth", 0) + 1
+    try:
+        with on_one_device():
+            closed, shape = jax.make_jaxpr(function, axis_env=axes, return_shape=True)(*args)
+    finally:
+        _inside.depth -= 1
     tree = jax.tree_util.tree_structure(shape)
     outer = [isinstance(c, jax.core.Tracer) or np.size(c) >= _OPERAND for c in closed.consts]
     jaxpr = closed.jaxpr

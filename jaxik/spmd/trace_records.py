@@ -28,17 +28,15 @@ class Record(NamedTuple):
     """The `digest` of a program, the shapes and types of its results, and the `arrays` that it takes behind its arguments."""
 
     digest: str
-    outputs: list[jax.ShapeDtypeStruct]
+    outputs: list[Any]
     arrays: list[np.ndarray]
 
 
 def record_name(*key: Any) -> str | None:
     """The name of the record of what is traced of a `key`; None where that cannot be told, or nothing is kept."""
-    built_by = sources.digest()
-    if built_by is None or cache.cache_folder() is None or not call.machine.llvm():
-        return None
-    content = content_digest(*key)
-    if content is None:
+    content = content_digest(*key) if cache.cache_folder() is not None and call.machine.llvm() else None
+    built_by = sources.digest() if content is not None else None
+    if built_by is None:
         return None
     settings = sorted((k, repr(v)) for k, v in jax.config.values.items() if k not in _APART)
     versions = jax.__version__, np.__version__, call.version()
@@ -53,7 +51,7 @@ def recalled(name: str) -> Record | None:
     try:
         head, _, rest = stored.partition(b"\n")
         told = json.loads(head)
-        outputs = [jax.ShapeDtypeStruct(tuple(shape), np.dtype(kind)) for shape, kind in told["outputs"]]
+        outputs = [jax.core.ShapedArray(tuple(s), np.dtype(kind), weak_type=weak) for s, kind, weak in told["outputs"]]
         arrays, place = [], 0
         for shape, kind in told["arrays"]:
             array = np.frombuffer(rest, np.dtype(kind), math.prod(shape), place).reshape(shape)
@@ -68,6 +66,7 @@ def keep(name: str, record: Record) -> None:
     """Writes a record, if it is not too large."""
     if sum(x.nbytes for x in record.arrays) > MOST:
         return
-    described = lambda arrays: [[list(x.shape), np.dtype(x.dtype).str] for x in arrays]
-    told = {"digest": record.digest, "outputs": described(record.outputs), "arrays": described(record.arrays)}
+    described = lambda x: [list(x.shape), np.dtype(x.dtype).str]
+    outputs = [[*described(x), x.weak_type] for x in record.outputs]
+    told = {"digest": record.digest, "outputs": outputs, "arrays": [described(x) for x in record.arrays]}
     cache.write(name, json.dumps(told).encode() + b"\n" + b"".join(x.tobytes() for x in record.arrays))

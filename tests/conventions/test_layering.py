@@ -17,6 +17,7 @@ import jaxik
 FLOORS = [  # what the house is made of, from the ground up
     "version",
     "sources",
+    "garbage",
     "spmd",  # the compiler of kernels knows no robot
     "reasons",
     "pytree",

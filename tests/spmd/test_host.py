@@ -12,8 +12,8 @@ import pytest
 from jax import lax
 
 from jaxik import spmd
+from jaxik.garbage import uncollected
 from jaxik.spmd import batch, host
-from jaxik.spmd.garbage import uncollected
 
 RNG = np.random.default_rng(0)
 X, Y = RNG.normal(size=(2, 37, 3)).astype(np.float32)

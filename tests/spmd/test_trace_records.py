@@ -9,15 +9,16 @@ import sys
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxik
-from jaxik import sources
+from jaxik import sources, spmd
 from jaxik.ik import seeds
 from jaxik.spatial.rotations import rotation_exp
-from jaxik.spmd import HostKernel, cache, host
+from jaxik.spmd import HostKernel, cache, decorator, host
 from jaxik.spmd.content import content_digest
 
 RNG = np.random.default_rng(0)
@@ -171,6 +172,41 @@ def test_another_width_shape_or_setting_has_another_record(folder, traces):
     HostKernel(rotation_exp, 1).run(AXIS, double=True)
     jax.config.update("jax_numpy_rank_promotion", before)
     assert len(records(folder)) == 3
+
+
+def test_a_decorated_function_is_traced_when_more_is_asked_than_its_kernel(folder, monkeypatch):
+    trace, traces = decorator.trace, []
+    monkeypatch.setattr(decorator, "trace", lambda *args: (traces.append(args), trace(*args))[1])
+    axes = AXIS.astype(np.float32)
+    first, second, third = (spmd.kernel(rotation_exp) for _ in range(3))
+    found = jax.jit(jax.vmap(first))(axes)
+    assert len(traces) == 1 and len(records(folder)) == 1
+    np.testing.assert_array_equal(jax.jit(jax.vmap(second))(axes), found)
+    np.testing.assert_array_equal(second(axes[3]), found[3])
+    assert len(traces) == 1
+    slopes = jax.jit(jax.vmap(jax.jacfwd(second)))(axes)
+    assert len(traces) == 2
+    np.testing.assert_array_equal(jax.jit(jax.vmap(jax.jacfwd(first)))(axes), slopes)
+    twice = spmd.kernel(lambda axis: third(axis) @ third(axis))
+    np.testing.assert_allclose(jax.vmap(twice)(axes), Rotation.from_rotvec(2.0 * axes).as_matrix(), atol=2e-6)
+    before = len(records(folder))
+    assert second(axes[0]).dtype == np.float64
+    with jax.enable_x64(False):  # the same arguments, and another record
+        assert spmd.kernel(rotation_exp)(axes[0]).dtype == np.float32
+    assert len(records(folder)) == before + 1
+
+
+def test_operands_stay_what_they_were():
+    """Of NumPy, of Python, narrow and wide, in and out of `jit`."""
+    scaled = spmd.kernel(lambda x, n, s: x * n + s)
+    x = np.arange(6.0).reshape(2, 3)
+    for kind in (np.float32, np.float64, np.int8, bool):
+        for n in (2, np.int32(2), np.array(2), jnp.array(2)):
+            expected = jnp.asarray(x.astype(kind)) * n + 0.5
+            for ask in (scaled, jax.jit(scaled)):
+                found = ask(x.astype(kind), n, 0.5)
+                assert found.dtype == expected.dtype and found.weak_type == expected.weak_type
+                np.testing.assert_array_equal(found, expected)
 
 
 def test_sources_that_were_changed_since_they_were_imported_have_no_digest(monkeypatch):

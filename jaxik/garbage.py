@@ -1,4 +1,4 @@
-"""A pause of Python's search for garbage: a trace makes a hundred thousand objects, of which nearly all stay."""
+"""A pause of Python's search for garbage: an import, or a trace, makes a hundred thousand objects, of which nearly all stay."""
 
 import contextlib
 import gc
@@ -11,7 +11,7 @@ _pausing = False
 @contextlib.contextmanager
 def uncollected() -> Iterator[None]:
     """A context, or a decorator, in which Python does not look for cycles of objects that nobody holds; what is freed without
-    goes at once as ever. Of contexts inside each other, or of several threads, the one that began it ends it."""
+    goes at once as ever. The one that began it ends it, of contexts inside each other or of several threads."""
     global _pausing
     pauses = gc.isenabled()
     if pauses:
