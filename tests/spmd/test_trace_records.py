@@ -197,7 +197,7 @@ def test_a_decorated_function_is_traced_when_more_is_asked_than_its_kernel(folde
 
 
 def test_operands_stay_what_they_were():
-    """Of NumPy, of Python, narrow and wide, in and out of `jit`."""
+    """Numbers of NumPy, of Python, narrow and wide, in and out of `jit`."""
     scaled = spmd.kernel(lambda x, n, s: x * n + s)
     x = np.arange(6.0).reshape(2, 3)
     for kind in (np.float32, np.float64, np.int8, bool):
