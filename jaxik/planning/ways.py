@@ -160,7 +160,7 @@ class Clock:
 
 
 def kept_at(space: CollisionChecker, ends: Sequence[np.ndarray], among: np.ndarray) -> list[np.ndarray]:
-    """By how much more than the margin each of the ends (e, n) keeps away from things, the most of `CUSHIONS` (e,) [m]."""
+    """The most of `CUSHIONS` by which each of the ends (e, n) keeps away from things beyond the margin (e,) [m]."""
     rows, counts = np.concatenate(ends), list(map(len, ends))
     hit = space.hits(
         np.tile(rows, (len(CUSHIONS), 1)), np.repeat(CUSHIONS, len(rows)), np.tile(np.repeat(among, counts), len(CUSHIONS))
