@@ -18,7 +18,7 @@ from jaxik.kinematics.task import POSE, Task
 from jaxik.options import Options, count, flag, instance, number, per_joint
 from jaxik.planning.cells import separated
 from jaxik.planning.collision_checker import CollisionChecker, judged
-from jaxik.planning.escape import escaped
+from jaxik.planning.escape import escaped, led_out
 from jaxik.planning.goal_search import searched
 from jaxik.planning.improvement import improved
 from jaxik.planning.limits import Limits, limit_of, motion_limits
@@ -167,7 +167,7 @@ def _planned(
     reach = arrived(robot, ways, goals if asked.poses is not None else asked.goals, asked, options.postures)
     bounds = np.array([np.nan if way is None else space.length(sought[i] - way[0]).min() for i, way in enumerate(ways)])
     lines = np.array([len(escapes[i]) - 1 if i in escapes and way is not None else 0 for i, way in enumerate(ways)], int)
-    ways = [way if way is None or i not in escapes else np.concatenate([escapes[i][:-1], way]) for i, way in enumerate(ways)]
+    ways = [way if way is None or i not in escapes else led_out(escapes[i], way) for i, way in enumerate(ways)]
     moved = [i for i, way in enumerate(ways) if way is not None]
     paths = rounded(space, [ways[i] for i in moved], among[moved], smooth=jerk is not None)
     motions = iter(timed(robot, paths, limits, jerk, options.places))

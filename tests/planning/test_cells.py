@@ -113,7 +113,7 @@ def test_a_batch_tells_which_has_no_way(two):
 
 
 def test_none_is_proven_of_some_postures_or_of_one_way_out(two):
-    """The soonest posture of a place is beyond the ball, the other one is not; a start in the ball may be led out to one side."""
+    """The soonest posture of a place is beyond the ball, the other one is not; a start in the ball is led to either side."""
     robot, coal = two
     scene = jaxik.make_scene(spheres=[[0.36, 0.0, 0.0, 0.041]])
     start, beyond, beside = np.array([-0.35, -1.9]), np.array([0.85, -1.6]), np.array([-0.75, 1.6])
