@@ -108,6 +108,8 @@ def test_a_batch_tells_which_has_no_way(two):
     assert moved.reason.tolist() == [Reason.NO_WAY, Reason.SOLVED, Reason.SOLVED]
     assert moved.counts() == {"solved": 2, "no way": 1} and moved.why[0].startswith("no way; after ")
     assert moved[0].offenders and moved[0].gap > 0.0 and np.isnan(moved[1].gap)
+    np.testing.assert_array_equal(moved.gap, [each.gap for each in moved])
+    assert plan_motion(robot, np.zeros((0, 2)), np.zeros((0, 2))).gap.shape == (0,)
     late = plan_motion(robot, [0.0, 0.0], [2.45, 0.0], scene=wall, timeout=0.0)
     assert late.reason == Reason.NOT_CONVERGED
 
