@@ -58,7 +58,7 @@ class Depths:
 
     def __init__(self, space: CollisionChecker, robot: Robot, scene: Scene | None):
         self.space = space
-        self.weights = np.maximum(space.weights, 1e-3 * space.weights.max())
+        self.weights = np.maximum(space.weights, 1e-3 * (space.weights.max() or 1.0))  # of what moves nothing, too
         self.robot, carried = apart(robot)
         self.fixed = jax.tree_util.tree_map(np.asarray, grouped(scene, robot)), carried
 
