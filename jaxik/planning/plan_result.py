@@ -101,7 +101,9 @@ class PlanResult(Result):
         """How far apart the two trees of a search that found no way remained [m]: the most that a point of the robot moves from
         one to the other if one joint moves, the root of its squares if several do. NaN else; a batch has one a motion."""
         if not self.single:
-            return np.array([row.gap for row in self])
+            none, each = np.full(np.shape(self.stuck)[2], np.nan), zip(self.where, self.planned_in, strict=True)
+            weights = [none if where or place is None else place.weights for where, place in each]
+            return np.linalg.norm((self.stuck[:, 1] - self.stuck[:, 0]) * np.reshape(weights, (len(self), len(none))), axis=1)
         if self.planned_in is None or self.stuck is None or self.where:
             return np.nan
         return float(np.linalg.norm((self.stuck[1] - self.stuck[0]) * self.planned_in.weights))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -18,7 +18,7 @@ from jaxik.kinematics.task import POSE, Task
 from jaxik.options import Options, count, flag, instance, number, per_joint
 from jaxik.planning.cells import separated
 from jaxik.planning.collision_checker import CollisionChecker, judged
-from jaxik.planning.escape import escaped
+from jaxik.planning.escape import escaped, led_out
 from jaxik.planning.goal_search import searched
 from jaxik.planning.improvement import improved
 from jaxik.planning.limits import Limits, limit_of, motion_limits
@@ -115,7 +115,7 @@ def plan_motion(
     Reasons: SOLVED; INVALID, NaN in the start or the goal; LIMITS, COLLISION of the `start` or the `goal`, whichever is in
     `where`; OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED, no way found within the rounds and the timeout
     that keeps 0.01 mm more than the margin, which is no proof that there is none; NO_WAY, a proof by cells that there is none,
-    of arms of three joints at most.
+    of arms of three joints at most, from a start that was not led out to goals that are configurations.
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Sources: Kuffner and LaValle, RRT-Connect, 2000;
     Schwarzer et al. 2005; Pham and Pham 2018; Zhang, Kim, Manocha 2008.
@@ -161,14 +161,14 @@ def _planned(
     told = lambda taken, done: tell(taken if asked.single else done, total)
     sought = [each[some] for each, some in zip(goals, free, strict=True)]
     rounds, checked = _search(
-        space, places, ways, starts, sought, ended, asked.poses is None, seed, options, limits, told, among
+        space, places, ways, starts, sought, ended, asked.poses is None, escapes, seed, options, limits, told, among
     )
     if options.improve:
         _improve(space, ways, seed, options.improve, among)
     reach = arrived(robot, ways, goals if asked.poses is not None else asked.goals, asked, options.postures)
     bounds = np.array([np.nan if way is None else space.length(sought[i] - way[0]).min() for i, way in enumerate(ways)])
     lines = np.array([len(escapes[i]) - 1 if i in escapes and way is not None else 0 for i, way in enumerate(ways)], int)
-    ways = [way if way is None or i not in escapes else np.concatenate([escapes[i][:-1], way]) for i, way in enumerate(ways)]
+    ways = [way if way is None or i not in escapes else led_out(escapes[i], way) for i, way in enumerate(ways)]
     moved = [i for i, way in enumerate(ways) if way is not None]
     paths = rounded(space, [ways[i] for i in moved], among[moved], smooth=jerk is not None)
     motions = iter(timed(robot, paths, limits, jerk, options.places))
@@ -186,7 +186,8 @@ def _search(
     starts: np.ndarray,
     goals: Sequence[np.ndarray],
     ended: Ended,
-    compared: bool,
+    given: bool,
+    escapes: Collection[int],
     seed: int,
     options: PlanOptions,
     limits: Limits,
@@ -194,16 +195,18 @@ def _search(
     among: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Puts a way where there is none yet and nothing is refused, or notes why not. Returns the rounds, and how many
-    configurations were checked (b,)."""
+    configurations were checked (b,). That there is no way is proven of goals that are `given`, not some postures of a pose, and
+    of starts without `escapes`: elsewhere there may be another posture, or another way out."""
     rows = np.array([i for i, way in enumerate(ways) if way is None and not ended.where[i]], int)
     until = np.inf if options.timeout is None else time.monotonic() + options.timeout * len(rows)
     tell = lambda taken, done: told(taken, len(starts) - len(rows) + done)
     sought = [goals[i] for i in rows]
-    found = searched(space, starts[rows], sought, compared, seed, options.rounds, until, limits, tell, among[rows])
+    found = searched(space, starts[rows], sought, given, seed, options.rounds, until, limits, tell, among[rows])
     for i, way, gap in zip(rows.tolist(), found.ways, found.gaps, strict=True):
         ways[i] = way
         if way is None:
-            none = separated(space, places[i].robot, places[i].scene, starts[i], goals[i], until)
+            whole = given and i not in escapes
+            none = whole and separated(space, places[i].robot, places[i].scene, starts[i], goals[i], until)
             ended.reason[i], ended.stuck[i] = int(Reason.NO_WAY if none else Reason.NOT_CONVERGED), gap
     rounds, checked = np.zeros((2, len(starts)), int)
     rounds[rows], checked[rows] = found.rounds, found.checked

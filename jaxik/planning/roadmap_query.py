@@ -124,9 +124,9 @@ class Queries:
         if len(left) and options.rounds:
             aims = [turned(self.robot, starts[i][None], goals[i][free[i]][None])[0] for i in left]
             found = proven_ways(self.space, starts[left], aims, seed, np.full(len(left), options.rounds))
-            rounds[left], checked[left], ended.stuck[left] = found.rounds, found.checked, found.gaps
-            for i, way in zip(left.tolist(), found.ways, strict=True):
-                ways[i] = way
+            rounds[left], checked[left] = found.rounds, found.checked
+            for i, way, gap in zip(left.tolist(), found.ways, found.gaps, strict=True):
+                ways[i], ended.stuck[i] = way, np.nan if gap is None else gap
         ended.reason[[i for i in rows if ways[i] is None]] = int(Reason.NOT_CONVERGED)
         ended.stuck[ended.reason == Reason.SOLVED] = np.nan
         bounds = np.where([way is None for way in ways], np.nan, self._bounds(starts, np.where(free[..., None], goals, np.nan)))

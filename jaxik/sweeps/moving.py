@@ -16,6 +16,7 @@ from jaxik.sweeps.postures import Postures
 from jaxik.sweeps.robot_variants import Variant, at_home
 from jaxik.sweeps.study import Study
 
+CERTAIN = (Reason.SOLVED, Reason.OUT_OF_REACH, Reason.INVALID, Reason.NO_WAY)
 REFUSED = (Reason.LIMITS, Reason.COLLISION)
 
 
@@ -84,8 +85,7 @@ def _enter(study: Study, columns: Columns, some: np.ndarray, found: PlanResult) 
     columns["reason"][some], columns["where"][some], columns["rounds"][some] = reason, where, found.rounds
     columns["reachable"][some], columns["length"][some] = reason == Reason.SOLVED, found.length
     refused = np.isin(reason, REFUSED) & ((where == WHERE.index("start")) | isinstance(study.targets, Postures))
-    certain = np.isin(reason, (Reason.SOLVED, Reason.OUT_OF_REACH, Reason.INVALID))
-    columns["proven"][some] = certain | refused
+    columns["proven"][some] = np.isin(reason, CERTAIN) | refused
     for row, way, trajectory in zip(some.tolist(), found.waypoints, found.trajectory, strict=True):
         if way is None:
             continue

@@ -219,6 +219,9 @@ def test_mistakes_are_named(arm):
     path = _splines(1)[0]
     with pytest.raises(ValueError, match=r"time_path: jerk is -1.0; allowed: one number or \(3,\).*, above zero \[rad/s3"):
         time_path(path, velocity=1.0, acceleration=1.0, jerk=-1.0)
+    for places in (-3, 0.5, "many"):
+        with pytest.raises(ValueError, match=f"time_path: places is {places}; allowed: a count"):
+            time_path(path, velocity=1.0, acceleration=1.0, jerk=1.0, places=places)
     with pytest.raises(ValueError, match="time_path: power and jerk are not limited together"):
         time_path(path, velocity=1.0, acceleration=1.0, jerk=1.0, power=3.0, robot=robot)
     with pytest.raises(ValueError, match=r"plan_motion: jerk .*allowed: one number or \(3,\)"):

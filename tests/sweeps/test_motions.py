@@ -197,6 +197,19 @@ def test_random_postures_do_not_depend_on_what_is_asked_beside(arm):
     assert not np.isin(ends(slice(0, 2000), seed=1), starts).any()
 
 
+def test_that_there_is_no_way_is_proven_and_named(arm, tmp_path):
+    """A box across the room; coal finds both ends free."""
+    robot, coal = arm
+    wall = jaxik.make_scene(boxes=[[0.6, 0.0, 0.0, 1.0, 0.05, 0.5]])
+    ends = np.array([[-0.9, 0.2, 0.1], [0.9, -0.3, 0.2], [-1.2, 0.2, 0.1]])
+    assert coal.clearance(wall, ends).min() > 0.0
+    study = {"robot": robot, "collision": {"scene": wall}, "motions": {"start": ends[0].tolist(), "rounds": 2000}}
+    data = jaxik.sweep(study | {"targets": {"goals": ends[1:].tolist()}}, tmp_path / "wall.zarr").dataset().load()
+    names = dict(zip(data.reason.attrs["flag_values"], data.reason.attrs["flag_meanings"].split(), strict=True))
+    assert [names[int(reason)] for reason in data.reason.values] == ["no_way", "solved"] and data.proven.values.all()
+    assert data.attrs["reasons"]["no way"] == Reason.NO_WAY and data.reachable.values.tolist() == [False, True]
+
+
 def test_what_more_rounds_would_have_found_is_measured(arm, tmp_path):
     robot, _ = arm
     goals = [[0.9, -0.3, 0.2], [1.2, -0.2, 0.0], [-0.7, 0.3, 0.0]]
