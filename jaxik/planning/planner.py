@@ -21,8 +21,10 @@ from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.escape import escaped
 from jaxik.planning.goal_search import searched
 from jaxik.planning.improvement import improved
-from jaxik.planning.limits import Limits, limit_of, motion_limits
+from jaxik.planning.jerk_timing import smooth_laws
+from jaxik.planning.limits import AnyLimits, Limits, limit_of, motion_limits
 from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, reached, turned
+from jaxik.planning.path_parts import Part
 from jaxik.planning.plan_result import Place, PlanResult
 from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory, padded
@@ -95,12 +97,12 @@ def plan_motion(
     whole way, not at samples, and the limits of position, velocity and acceleration, and of `jerk`, where there is one. Host
     driver.
 
-    `goal` is a configuration (n,), several (g, n), of which the one that is reached soonest is taken, as far as as much search
-    again as for the first one tells, or a pose `base_T_tip` (4, 4) [m], for which `solve_ik` finds postures, and of which the
-    one that is found first is taken; where the start has it, nothing moves. Many starts (b, n) have goals (b, n), (b, g, n),
-    filled up with NaN, poses (b, 4, 4), or several poses each (b, g, 4, 4), and a list of b scenes, one each; one start, goal,
-    pose or scene may serve all. Each motion is as it is alone, whatever becomes of the others. Without a scene the robot keeps
-    clear of itself alone.
+    `goal` is a configuration (n,), several (g, n), of which the one that is reached soonest is taken, by straight lines within
+    all limits, as far as as much search again as for the first one tells, or a pose `base_T_tip` (4, 4) [m], for which
+    `solve_ik` finds postures, and of which the one that is found first is taken; where the start has it, nothing moves. Many
+    starts (b, n) have goals (b, n), (b, g, n), filled up with NaN, poses (b, 4, 4), or several poses each (b, g, 4, 4), and a
+    list of b scenes, one each; one start, goal, pose or scene may serve all. Each motion is as it is alone, whatever becomes of
+    the others. Without a scene the robot keeps clear of itself alone.
 
     A goal is met but for full turns of joints without limits, which take the shorter way, or the other one where that is walled
     in, within `winding` of zero (`PlanResult.turns`); joints with limits meet a configuration as it is, a pose on any turn.
@@ -148,20 +150,19 @@ def _planned(
     """Plans each of the problems, of which what all have in common is asked once: postures, straight lines, the timing."""
     limits = motion_limits("plan_motion", robot, options.velocity, options.acceleration, (robot.num_joints,))
     jerk = None if options.jerk is None else limit_of("plan_motion", "jerk", options.jerk, (robot.num_joints,))
+    pace = limits.within(jerk)
     space = CollisionChecker(robot, scene, options.margin, winding=options.winding)
     among = np.arange(len(asked.starts)) if space.world.several else np.zeros(len(asked.starts), int)
     places = _places(robot, scene, space, options, len(asked.starts))
     starts, escapes = _begun(robot, space, places, asked.starts, among) if options.escape else (asked.starts, {})
-    answers = _goals(robot, scene, space, starts, asked, seed, options, limits)
+    answers = _goals(robot, scene, space, starts, asked, seed, options, pace)
     goals, free, ended = admitted(robot, space, starts, answers, among)
-    ways = _straight(space, starts, goals, free, limits, among)
+    ways = _straight(space, starts, goals, free, pace, among)
     total = options.rounds if asked.single else len(starts)
     tell = progress or (lambda done, total: None)
     told = lambda taken, done: tell(taken if asked.single else done, total)
     sought = [each[some] for each, some in zip(goals, free, strict=True)]
-    rounds, checked = _search(
-        space, places, ways, starts, sought, ended, asked.poses is None, seed, options, limits, told, among
-    )
+    rounds, checked = _search(space, places, ways, starts, sought, ended, asked.poses is None, seed, options, pace, told, among)
     if options.improve:
         _improve(space, ways, seed, options.improve, among)
     reach = arrived(robot, ways, goals if asked.poses is not None else asked.goals, asked, options.postures)
@@ -188,7 +189,7 @@ def _search(
     compared: bool,
     seed: int,
     options: PlanOptions,
-    limits: Limits,
+    limits: AnyLimits,
     told: Callable[[int, int], Any],
     among: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -248,7 +249,7 @@ def _goals(
     asked: Ends,
     seed: int,
     options: PlanOptions,
-    limits: Limits,
+    limits: AnyLimits,
 ) -> Answers:
     """The configurations (b, g, n) to go to, joints without limits on the nearest turn; and of poses the reasons."""
     bounds = space.lower, space.upper
@@ -300,7 +301,12 @@ def arrived(
 
 
 def _straight(
-    space: CollisionChecker, starts: np.ndarray, goals: np.ndarray, free: np.ndarray, limits: Limits, among: np.ndarray
+    space: CollisionChecker,
+    starts: np.ndarray,
+    goals: np.ndarray,
+    free: np.ndarray,
+    limits: AnyLimits,
+    among: np.ndarray,
 ) -> list[np.ndarray | None]:
     """Finds, for each start, the straight line to the free goal that is reached soonest, of those that are proven, or None."""
     times = np.full(free.shape, np.inf)
@@ -325,9 +331,11 @@ def rounded(space: CollisionChecker, ways: list[np.ndarray], among: np.ndarray, 
 
 
 def timed(robot: Robot, paths: list[JointPath], limits: Limits, jerk: np.ndarray | None, places: int) -> list[Trajectory]:
-    """Times the paths, those of as many pieces together; one by one within a limit of the jerk, as moments differ in number."""
+    """Times the paths, those of as many pieces together; all together within a limit of the jerk."""
     if jerk is not None:
-        return [time_path(path, **limits._asdict(), jerk=jerk, places=2 * places, robot=robot) for path in paths]
+        parts = [Part(np.asarray(path.lengths), np.asarray(path.coefficients), limits, jerk, None) for path in paths]
+        laws = zip(paths, smooth_laws(parts, 2 * places), strict=True)
+        return [Trajectory(path, *law[:3], robot.joint_names, law.acceleration) for path, law in laws]
     motions: dict[int, Trajectory] = {}
     pieces = np.array([len(path.lengths) for path in paths], int)
     for size in np.unique(pieces):

@@ -12,7 +12,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
 from jaxik.options import Options, count, instance, per_joint
 from jaxik.planning.collision_checker import CollisionChecker
-from jaxik.planning.limits import Limits, limit_of, motion_limits
+from jaxik.planning.limits import AnyLimits, Limits, limit_of, motion_limits
 from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, reached, turned
 from jaxik.planning.plan_result import Place, PlanResult
 from jaxik.planning.planner import admitted, arrived, rounded, timed
@@ -64,15 +64,15 @@ class Queries:
             reach = reached(self.robot, found[-1], goal[None])
             return PlanResult(Reason.SOLVED, "", *known, *reach, 0, self.nowhere, self.place)
         asked = ends("Roadmap.way", self.robot, start, goal, several_poses=True)
-        result = self._ways(asked, seed, options, self._limits("Roadmap.way", options), self.number)
+        limits, jerk = self._limits("Roadmap.way", options)
+        result = self._ways(asked, seed, options, limits.within(jerk), self.number)
         return result[0] if asked.single else result
 
     def plan(self, start: Any, goal: Any, seed: int, options: QueryOptions) -> PlanResult:
         """The answer of `Roadmap.plan`."""
         asked = ends("Roadmap.plan", self.robot, start, goal, several_poses=True)
-        limits = self._limits("Roadmap.plan", options)
-        jerk = None if options.jerk is None else limit_of("Roadmap.plan", "jerk", options.jerk, (self.robot.num_joints,))
-        found = self._ways(asked, seed, options, limits, {})
+        limits, jerk = self._limits("Roadmap.plan", options)
+        found = self._ways(asked, seed, options, limits.within(jerk), {})
         ways, checked = list(found.waypoints), found.checked.copy()
         bent = [i for i, way in enumerate(ways) if way is not None and len(way) > 2]
         if bent:
@@ -90,8 +90,11 @@ class Queries:
         result = dataclasses.replace(found, waypoints=tuple(ways), **changes)
         return result[0] if asked.single else result
 
-    def _limits(self, who: str, options: QueryOptions) -> Limits:
-        return motion_limits(who, self.robot, options.velocity, options.acceleration, (self.robot.num_joints,))
+    def _limits(self, who: str, options: QueryOptions) -> tuple[Limits, np.ndarray | None]:
+        """The limits of velocity and acceleration, and that of the jerk."""
+        shape = (self.robot.num_joints,)
+        jerk = None if options.jerk is None else limit_of(who, "jerk", options.jerk, shape)
+        return motion_limits(who, self.robot, options.velocity, options.acceleration, shape), jerk
 
     def _between_nodes(self, start: Any, goal: Any) -> np.ndarray | None:
         """The waypoints between two different nodes, soon; None where they are no such nodes, or have no way."""
@@ -104,7 +107,7 @@ class Queries:
         nodes = self.graph.ways(self.lengths, [here], [there], [goal[None]])[0]
         return None if nodes is None else unwound(self.graph.nodes[nodes], self.space.endless)
 
-    def _ways(self, asked: Ends, seed: int, options: QueryOptions, limits: Limits, apart: dict[bytes, int]) -> PlanResult:
+    def _ways(self, asked: Ends, seed: int, options: QueryOptions, limits: AnyLimits, apart: dict[bytes, int]) -> PlanResult:
         """The ways of a batch of problems; no straight lines are looked at between two different postures of those `apart`."""
         starts, none = asked.starts, np.zeros(len(asked.starts), int)
         answers = Answers(none.copy(), asked.goals, np.full_like(starts, np.nan))

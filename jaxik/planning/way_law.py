@@ -6,7 +6,7 @@ over four knots, its jerk is a mean of, too, and never above.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,8 +26,12 @@ class Law(NamedTuple):
     @property
     def jerk(self) -> np.ndarray:
         """The jerk (m-1,) between moments."""
-        long = np.diff(self.time)
-        return np.divide(np.diff(self.acceleration), long, out=np.zeros_like(long), where=long > 0.0)
+        return self.jerk_in(slice(None))
+
+    def jerk_in(self, i: Any) -> np.ndarray:
+        """The jerk in some of the intervals."""
+        (change, long) = (x[1:][i] - x[:-1][i] for x in (self.acceleration, self.time))
+        return np.divide(change, long, out=np.zeros_like(long), where=long > 0.0)
 
     def interval(self, t: np.ndarray) -> np.ndarray:
         """The number of the interval in which each t is."""
@@ -35,7 +39,7 @@ class Law(NamedTuple):
 
     def moved(self, t: np.ndarray, i: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The place, speed and acceleration at t, in the intervals i."""
-        e, v, a, jerk = t - self.time[i], self.speed[i], self.acceleration[i], self.jerk[i]
+        e, v, a, jerk = t - self.time[i], self.speed[i], self.acceleration[i], self.jerk_in(i)
         return self.place[i] + (v + (0.5 * a + jerk * e / 6.0) * e) * e, v + (a + 0.5 * jerk * e) * e, a + jerk * e
 
     def arrivals(self, places: np.ndarray) -> np.ndarray:
@@ -81,18 +85,13 @@ def spline(control: np.ndarray, step: float) -> Law:
 
 def driven(known: Law, squares: np.ndarray, count: int) -> Law:
     """The law s(tau(t)) of a known one s(tau), with (dtau/dt)^2 a quadratic spline of such control values, in even time."""
-    step, ends = known.time[1], np.pad(squares, 1, mode="edge")
-
-    def square(x: np.ndarray) -> np.ndarray:
-        """(dtau/dt)^2 at tau in steps."""
-        i = np.floor(x + 0.5).astype(int)
-        u = x - i
-        return 0.5 * (ends[i] * (0.5 - u) ** 2 + ends[i + 2] * (0.5 + u) ** 2) + ends[i + 1] * (0.75 - u * u)
-
-    fine = np.arange((len(squares) - 1) * FINER + 1) / FINER
-    inside, weights = fine[:-1, None] + GAUSS[0] / FINER, GAUSS[1] * step / FINER
-    time = np.concatenate([[0.0], np.cumsum((weights / np.sqrt(square(inside))).sum(axis=1))])
-    rate = np.sqrt(square(fine)) / step
+    step, ends = known.time[1], np.concatenate([squares[:1], squares, squares[-1:]])
+    each = sum(ends[k : k + len(squares) - 1, None] * weight for k, weight in enumerate(BETWEEN))
+    speed = np.sqrt(each) / step
+    inside = (GAUSS[1] / FINER / speed[:, FINER:].reshape(-1, FINER, 3)).sum(axis=2).ravel()
+    time = np.concatenate([[0.0], np.cumsum(inside)])
+    rate = np.append(speed[:, :FINER], np.sqrt(0.125 * ends[-3] + 0.75 * ends[-2] + 0.125 * ends[-1]) / step)
+    fine = np.arange(len(time)) / FINER
     at = np.linspace(0.0, time[-1], count + 1)
     i = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
     long = time[i + 1] - time[i]
@@ -101,3 +100,15 @@ def driven(known: Law, squares: np.ndarray, count: int) -> Law:
     x += long * e * (1.0 - e) * (rate[i] * (1.0 - e) - rate[i + 1] * e)
     place = np.clip(known.moved(step * x, known.interval(step * x))[0], 0.0, known.place[-1])
     return spline(np.concatenate([[0.0], place[1:-1], known.place[-1:]]), time[-1] / count)
+
+
+def _quadratic(x: np.ndarray) -> np.ndarray:
+    """The weights (4, ...) of control values beside and at both ends of a span in a quadratic spline, at x from 0 to 1."""
+    first = x < 0.5
+    u, none = np.where(first, x, x - 1.0), np.zeros_like(x)
+    three = [0.5 * (0.5 - u) ** 2, 0.75 - u * u, 0.5 * (0.5 + u) ** 2]
+    return np.where(first, np.stack([*three, none]), np.stack([none, *three]))
+
+
+_SHARES = np.arange(FINER) / FINER
+BETWEEN = _quadratic(np.concatenate([_SHARES, (_SHARES[:, None] + GAUSS[0] / FINER).ravel()]))
