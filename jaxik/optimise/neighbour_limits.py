@@ -45,7 +45,7 @@ class Row(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What is given: how many nodes there are and how far apart, the greatest b (K,), and the limits."""
+    """A problem as it is given: how many nodes there are and how far apart, the greatest b (K,), and the limits."""
 
     count: Any
     step: Any
