@@ -55,6 +55,10 @@ class Limits(NamedTuple):
         trapezoid = 1.0 / np.where(full, fastest, 1.0) + np.where(full, fastest, 1.0) / brisk
         return np.where(full, trapezoid, 2.0 / np.sqrt(brisk))  # 0 of what stands still
 
+    def least(self, moved: np.ndarray) -> np.ndarray:
+        """The time that no motion over `moved` (..., n) from rest to rest is below [s]: that of the joint that needs most."""
+        return self.straight(moved[..., None] * np.eye(moved.shape[-1])).max(axis=-1)
+
     def within(self, jerk: np.ndarray | None) -> Limits | JerkLimits:
         """These limits, and one of the jerk (n,) where there is one."""
         return self if jerk is None else JerkLimits(*self, jerk)
@@ -71,6 +75,10 @@ class JerkLimits(NamedTuple):
         """The time of straight motions over `moved` (..., n) from rest to rest [s], in seven phases."""
         with np.errstate(divide="ignore"):  # a joint that does not move has nothing to say
             return double_s(*(np.min(most / np.abs(moved), axis=-1) for most in self))[0].sum(axis=-1)
+
+    def least(self, moved: np.ndarray) -> np.ndarray:
+        """The time that no motion over `moved` (..., n) from rest to rest is below [s]: that of the joint that needs most."""
+        return self.straight(moved[..., None] * np.eye(moved.shape[-1])).max(axis=-1)
 
 
 AnyLimits = Limits | JerkLimits

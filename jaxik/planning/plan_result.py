@@ -53,6 +53,8 @@ class PlanResult(Result):
     trajectory: a `Trajectory`, or None.
     length, bound: the length of the straight lines between the waypoints, and of the one to the nearest goal, which no way is
     shorter than; joints weighted by the most that their unit moves the robot [m]. NaN where there is no motion.
+    least_duration: the time that no motion to the nearest goal is below [s]: of the joint that needs most for itself. NaN where
+        there is no motion.
     rounds, checked: how many rounds of the search were taken, and how many configurations were checked for collision.
     goal: the number of the goal that is reached, where there are several; -1 where none is.
     turns (n,): by how many full turns of its joints without limits the last waypoint is beyond the goal as it was given.
@@ -74,6 +76,7 @@ class PlanResult(Result):
     escaped: Any = 0
     stuck: Any = None
     planned_in: Any = by_row(default=None)  # a `Place`
+    least_duration: Any = float("nan")
     ROW: ClassVar = "motion"
     HELP: ClassVar = HELP
 
