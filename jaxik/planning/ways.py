@@ -98,9 +98,9 @@ def _proven_ways(
     turns = np.broadcast_to(whole_turns(space.endless, starts), starts.shape)  # float32 has few digits left after many
     ends = [np.array([start, *goals]) - turn for start, goals, turn in zip(starts, goals, turns, strict=True)]
     ends, kept, hopeless = _provable(ends, kept_at(space, ends, among))
-    ranges = [search_range(space, each[0], turn) for each, turn in zip(ends, turns, strict=True)]
-    lower = np.array([np.minimum(low, each.min(axis=0)) for (low, _), each in zip(ranges, ends, strict=True)])
-    upper = np.array([np.maximum(high, each.max(axis=0)) for (_, high), each in zip(ranges, ends, strict=True)])
+    low, high = search_range(space, starts - turns, turns)
+    lower = np.minimum(low, [each.min(axis=0) for each in ends])
+    upper = np.maximum(high, [each.max(axis=0) for each in ends])
     searches = Searches(space, starts - turns, [each[1:] for each in ends], lower, upper, seed, among)
     clock = Clock(None if seconds is None else seconds * len(starts), progress, searches)
     ways: list[np.ndarray | None] = [None] * len(starts)
@@ -190,8 +190,8 @@ def _searched(searches: Searches, rows: np.ndarray, look: Look, cushion: np.ndar
 
 
 def search_range(space: CollisionChecker, start: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`finite_limits`; those of a joint that lacks one are moved as far towards the start (n,) as its other one, and the bounds
-    of `space`, which is a `turn` (n,) further, allow: how often it has turned before makes no difference to a search."""
+    """`finite_limits`; those of a joint that lacks one are moved as far towards the start (..., n) as its other one, and the
+    bounds of `space`, which is a `turn` (..., n) further, allow: how often it has turned before makes no difference."""
     lower, upper = space.robot.finite_limits
     robot = space.robot
     least, most = (np.where(np.isfinite(limit), 0.0, end) for limit, end in ((robot.lower, -np.inf), (robot.upper, np.inf)))
