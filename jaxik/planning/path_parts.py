@@ -15,7 +15,7 @@ from jaxik.optimise.jerk_scaling import Known
 from jaxik.planning import limits as drive_limits
 from jaxik.planning.limits import WITHIN, Drives, Limits
 from jaxik.planning.trajectory import along_pieces
-from jaxik.planning.way_law import Law
+from jaxik.planning.way_law import Law, after
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
@@ -120,8 +120,6 @@ class _Cuts(NamedTuple):
 
     rows: tuple[np.ndarray, ...]
     place: np.ndarray
-    moments: np.ndarray
-    interval: np.ndarray
 
 
 def used(parts: Sequence[Part], laws: Sequence[Law]) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -132,8 +130,8 @@ def used(parts: Sequence[Part], laws: Sequence[Law]) -> list[tuple[np.ndarray, n
     (shares,) = in_blocks(USED, *map(np.concatenate, zip(*(each.rows for each in cuts), strict=True)), double=True)
     each = np.split(shares, np.cumsum([len(cut.place) for cut in cuts])[:-1])
     found = []
-    for part, law, cut, share in zip(parts, laws, cuts, each, strict=True):
-        torque = np.zeros(share.shape[::2]) if part.drives is None else _by_torque(part, law, cut)
+    for part, cut, share in zip(parts, cuts, each, strict=True):
+        torque = np.zeros(share.shape[::2]) if part.drives is None else _by_torque(part, cut)
         most = np.stack([*part.limits, part.jerk])
         found.append((np.concatenate([np.moveaxis(share / most, 0, 2), torque.T[None]]), cut.place))
     return found
@@ -142,14 +140,14 @@ def used(parts: Sequence[Part], laws: Sequence[Law]) -> list[tuple[np.ndarray, n
 def _cuts(part: Part, law: Law) -> _Cuts:
     ends = np.cumsum(part.lengths)
     cuts = np.unique(np.concatenate([law.time, law.arrivals(ends[:-1])]))
-    middle, lasts = 0.5 * (cuts[1:] + cuts[:-1]), np.diff(cuts)
-    i = law.interval(middle)
-    place = law.moved(cuts[:-1] + lasts * WITHIN[2], i)[0]
-    piece = part.pieces_at(place)[0]
-    since = law.place[i] - (ends - part.lengths)[piece]
-    state = np.stack([since, law.speed[i], law.acceleration[i], law.jerk_in(i)], axis=1)
-    rows = part.curve[piece], part.lengths[piece], state, cuts[:-1] - law.time[i], lasts
-    return _Cuts(rows, place, cuts[:-1, None] + lasts[:, None] * WITHIN, i)
+    lasts = np.diff(cuts)
+    i = law.interval(cuts[:-1] + 0.5 * lasts)
+    state, first = law.state(i), cuts[:-1] - law.time[i]
+    place = after(first + lasts * WITHIN[2], *state)[0]
+    piece = np.minimum(np.searchsorted(ends, place, side="right"), len(ends) - 1)
+    columns = np.stack([state[0] - (ends - part.lengths)[piece], *state[1:]], axis=1)
+    rows = part.curve[piece], part.lengths[piece], columns, first, lasts
+    return _Cuts(rows, place)
 
 
 def _used(curve: Any, length: Any, state: Any, first: Any, lasts: Any) -> Any:
@@ -171,14 +169,12 @@ def _used(curve: Any, length: Any, state: Any, first: Any, lasts: Any) -> Any:
 USED = HostKernel(_used, 5)
 
 
-def _by_torque(part: Part, law: Law, cut: _Cuts) -> np.ndarray:
+def _by_torque(part: Part, cut: _Cuts) -> np.ndarray:
     """The share (i, n) of what torques leave to motion that it takes; infinite where they leave nothing."""
     assert part.drives is not None
-    curve, length, state, *_ = cut.rows
-    _, v, a = law.moved(cut.moments, cut.interval[:, None])
-    e = cut.moments - law.time[cut.interval][:, None]
-    way, speed, rate, jerk = state.T[..., None]
-    s = np.clip(way + (speed + (0.5 * rate + jerk * e / 6.0) * e) * e, 0.0, length[:, None])
+    curve, length, state, first, lasts = cut.rows
+    s, v, a = after(first[:, None] + lasts[:, None] * WITHIN, *state.T[..., None])
+    s = np.clip(s, 0.0, length[:, None])
     by_change, by_square, still = drive_limits.along(part.drives, *along_pieces(curve[:, None], s))
     return _of_torque(by_change * a[..., None] + by_square * v[..., None] ** 2, still, part.drives.torque)
 
