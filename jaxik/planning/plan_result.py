@@ -53,7 +53,7 @@ class PlanResult(Result):
     length, bound: the length of the straight lines between the waypoints, and of the one to the nearest goal, which no way is
     shorter than; joints weighted by the most that their unit moves the robot [m]. NaN where there is no motion.
     least_duration: the time that no motion to the nearest goal is below [s]: of the joint that needs most for itself. NaN where
-        there is no motion.
+        there is no motion, as of a roadmap's `way`.
     rounds, checked: how many rounds of the search were taken, and how many configurations were checked for collision.
     goal: the number of the goal that is reached, where there are several; -1 where none is.
     turns (n,): by how many full turns of its joints without limits the last waypoint is beyond the goal as it was given.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -66,6 +67,7 @@ class Queries:
         asked = ends("Roadmap.way", self.robot, start, goal, several_poses=True)
         limits, jerk = self._limits("Roadmap.way", options)
         result = self._ways(asked, seed, options, limits.within(jerk), self.number)
+        result = dataclasses.replace(result, least_duration=np.full(len(result), np.nan))  # no motion
         return result[0] if asked.single else result
 
     def plan(self, start: Any, goal: Any, seed: int, options: QueryOptions) -> PlanResult:
@@ -132,7 +134,8 @@ class Queries:
                 ways[i] = way
         ended.reason[[i for i in rows if ways[i] is None]] = int(Reason.NOT_CONVERGED)
         ended.stuck[ended.reason == Reason.SOLVED] = np.nan
-        bounds = np.where([way is None for way in ways], np.nan, self._bounds(starts, np.where(free[..., None], goals, np.nan)))
+        missed, known = [way is None for way in ways], np.where(free[..., None], goals, np.nan)
+        bounds, least = (np.where(missed, np.nan, self._nearest(starts, known, f)) for f in (self.space.length, limits.least))
         told_of = (
             ended.reason,
             tuple(ended.where),
@@ -144,16 +147,16 @@ class Queries:
             checked,
         )
         reach = arrived(self.robot, ways, goals, asked, options.postures)
-        return PlanResult(*told_of, *reach, none, ended.stuck, (self.place,) * len(starts))
+        return PlanResult(*told_of, *reach, none, ended.stuck, (self.place,) * len(starts), least)
 
     def _lengths(self, ways: list[np.ndarray | None]) -> np.ndarray:
         """The lengths of ways (b,) [m], NaN where there is none."""
         return np.array([np.nan if way is None else self.space.length(np.diff(way, axis=0)).sum() for way in ways])
 
-    def _bounds(self, starts: np.ndarray, goals: np.ndarray) -> np.ndarray:
-        """The lengths (b,) [m] of straight lines from starts (b, n) to the nearest of the goals (b, g, n) that are not NaN."""
+    def _nearest(self, starts: np.ndarray, goals: np.ndarray, far: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """The least (b,) of what tells how `far` it is straight from starts (b, n) to the goals (b, g, n) that are not NaN."""
         begin, end = unwound(np.stack(np.broadcast_arrays(starts[:, None], goals)), self.space.endless)
-        return np.nan_to_num(self.space.length(end - begin), nan=np.inf).min(axis=1, initial=np.inf)
+        return np.nan_to_num(far(end - begin), nan=np.inf).min(axis=1, initial=np.inf)
 
     def _straight(
         self, starts: np.ndarray, goals: np.ndarray, free: np.ndarray, apart: dict[bytes, int]
