@@ -138,6 +138,22 @@ def test_a_stack_is_as_its_rows_are():
         assert np.allclose(own[0], other, atol=1e-3)
 
 
+def test_more_joints_than_a_team_has_lanes_for_at_once():
+    """Nine joints have eighteen limits at a moment; each of a stack with other numbers of moments is as it is alone."""
+    rng = np.random.default_rng(4)
+    limits = {"velocity": 1.0, "acceleration": 3.0, "jerk": 40.0}
+    paths = [JointPath.spline(rng.uniform(-1.0, 1.0, (5, 9))) for _ in range(2)]
+    stack = jax.tree_util.tree_map(lambda *x: np.stack(x), *paths)
+    for places in (100, 400):
+        many = time_path(stack, places=places, **limits)
+        for path, moved in zip(paths, many, strict=True):
+            alone = time_path(path, places=places, **limits)
+            np.testing.assert_array_equal(moved.time, alone.time)
+            assert (_shares(moved, {name: np.full(9, most) for name, most in limits.items()}) <= 1.0 + 1e-4).all()
+            free = time_path(path, velocity=1.0, acceleration=3.0)
+            assert free.duration < moved.duration < 1.6 * free.duration
+
+
 def test_what_does_not_move_and_a_stop_where_the_bend_jumps():
     still = time_path(np.ones((3, 3)), **LIMITS)
     assert still.duration == 0.0 and still.reason == Reason.SOLVED and (still.sample(0.01).q == 1.0).all()
