@@ -147,8 +147,15 @@ class Space:
         return self.mapped(len(self.trees.links) * count, find, then, True)
 
     def each_pair(self, then: Callable[[Found], Any]) -> Any:
-        """`then` of each pair of parts of a robot with an own shape, in the order of `RobotTrees.other`."""
-        return self.mapped(len(self.trees.other), lambda k, found: self._by_own_shape(k, k + 1, found), then, True)
+        """`then` of each pair of parts, in the order of `RobotTrees.other`."""
+
+        def find(k: Any, found: Found) -> Found:
+            if self.own is not None:
+                return self._by_own_shape(k, k + 1, found)
+            p = entry(self.trees.part, k)
+            return self._to_part(p, row_at(self.parts, p), k, found)
+
+        return self.mapped(len(self.trees.other), find, then, True)
 
     def _to_object(self, p: Any, b: Any, found: Found) -> Found:
         """Part p against branch b of the obstacles of each kind."""

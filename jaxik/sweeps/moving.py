@@ -34,7 +34,7 @@ def moved(study: Study, variant: Variant, rows: slice) -> Columns:
         columns |= given_columns(study.targets, rows)
     for i in np.unique(among):
         some = np.flatnonzero(among == i)
-        scene = seen_from(base_T_world, study.scene if own is None else study.targets.scenes[i])
+        scene = seen_from(base_T_world, study.scene_of(variant) if own is None else study.targets.scenes[i])
         found = plan_motion(robot, starts[some], goals[some], scene=scene, seed=study.seed, options=study.motions.plan)
         _enter(study, columns, some, found)
     return {name: np.asarray(columns[name], column.dtype) for name, column in columns_of(study).items()}
@@ -73,7 +73,7 @@ def _postures(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The starts and the goals (r, n), random ones free of what is in the way."""
     assert isinstance(study.targets, Postures)
-    space = CollisionChecker(robot, seen_from(base_T_world, study.scene), study.margin)
+    space = CollisionChecker(robot, seen_from(base_T_world, study.scene_of(variant)), study.margin)
     free = lambda q: judged(robot, space, q) == Reason.SOLVED
     return study.targets.ends(robot, rows, variant.start, study.seed, free)
 

@@ -210,6 +210,9 @@ def test_a_plan_is_timed_and_free(arm, roadmap):
     assert length(moved.waypoints) <= length(roadmap.way(START, GOAL).waypoints)
     slower = roadmap.plan(START, GOAL, velocity=1.0)
     assert slower.trajectory.duration > moved.trajectory.duration
+    alone = jaxik.plan_motion(roadmap._space.robot, START, GOAL, scene=POLES)
+    assert moved.least_duration == alone.least_duration < moved.trajectory.duration
+    assert np.isnan(roadmap.way(START, GOAL).least_duration)
     still = roadmap.plan(START, START)
     assert still and still.trajectory.duration == 0.0
 
