@@ -108,7 +108,7 @@ def improved(robot: jaxik.Robot, goals: Goals, pairs: list[Pair], vamp: Vamp) ->
 
 def by_ompl(robot: jaxik.Robot, goals: Goals, pairs: list[Pair], coal: Coal) -> tuple[dict[str, Any], list[Any]]:
     """OMPL on a few problems; and its ways."""
-    some = range(0, len(goals), max(1, len(goals) // FEW))
+    some = np.linspace(0, len(goals) - 1, min(FEW, len(goals))).round().astype(int).tolist()
     planner, ways = Ompl(robot, coal), []
     for i in some:
         found = planner.planned(goals[i].start, goals[i].q, goals[i].scene, PATIENCE) if pairs[i].moved else None

@@ -29,6 +29,7 @@ from tables.motions import (
     statistics_markdown,
     trajectory_markdown,
 )
+from tables.planners import planners_markdown
 from tables.postures import (
     base_markdown,
     closed_forms_markdown,
@@ -66,6 +67,7 @@ TABLES = {
     "narrow_goals.json": narrow_markdown,
     "nine_dof.json": nine_dof_markdown,
     "peppers.json": peppers_markdown,
+    "planners_benchmark.json": planners_markdown,
     "planning_benchmark.json": planning_markdown,
     "predictive_benchmark.json": predictive_markdown,
     "predictive_statistics.json": statistics_markdown,
