@@ -62,9 +62,9 @@ def _ways(result: dict[str, Any]) -> list[str]:
     of = {"length": (result["length_rad"], result["length_m"]), "improved": (more["rad"], more["m"])}
     medians, sums = search["ratio_of_p50"], search["ratio_of_sums"]
     return [
-        f"jaxik's search takes {medians:.1f} times VAMP's by the medians, {sums:.1f} times in all, {ratio['p50']:.1f} times in the",
-        f"median problem (95 %: {ratio['p95']:.0f}). In the mean it is {edges:.0f} edges of {search['jaxik_us_an_edge']:.1f} us",
-        f"beside {turns:.0f} iterations of {search['vamp_us_an_iteration']:.2f} us.",
+        f"jaxik's search takes {medians:.1f} times VAMP's by the medians, {sums:.1f} times in all, {ratio['p50']:.1f} times",
+        f"in the median problem (95 %: {ratio['p95']:.0f}). In the mean it is {edges:.0f} edges",
+        f"of {search['jaxik_us_an_edge']:.1f} us beside {turns:.0f} iterations of {search['vamp_us_an_iteration']:.2f} us.",
         "",
         "| length of ways | joints as they are [rad] | joints by their reach [m] |",
         "| --- | --- | --- |",
