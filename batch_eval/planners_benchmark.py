@@ -41,7 +41,7 @@ def radians(way: Any) -> float:
 
 
 class Pair:
-    """What became of a problem: jaxik's motion and VAMP's way, each with the least times of all rounds."""
+    """The outcome of a problem: jaxik's motion and VAMP's way, each with the least times of all rounds."""
 
     def __init__(self) -> None:
         self.moved: PlanResult | None = None
@@ -194,7 +194,7 @@ def hits(depths: list[tuple[float, int]]) -> dict[str, Any]:
 
 
 def judged(robot: jaxik.Robot, goals: Goals, pairs: list[Pair], coal: Coal, ways: list[Any]) -> dict[str, Any]:
-    """What coal and toppra say of all motions."""
+    """The verdicts of coal and toppra on all motions."""
     depths: dict[str, list[tuple[float, int]]] = {"jaxik": [], "vamp": [], "ompl": []}
     longer, rounded, others = [], [], dict(ways)
     for i, (goal, pair) in enumerate(zip(goals, pairs, strict=True)):

@@ -24,7 +24,6 @@ from scipy.spatial.transform import Rotation
 
 import jaxik
 from jaxik.planning import collision_checker, shortcuts, tree_search
-from jaxik.planning.world import apart
 from jaxik.spmd import HostKernel
 
 HAVE = {name: importlib.util.find_spec(name) is not None for name in ("vamp", "ompl")}  # both are optional
@@ -78,7 +77,7 @@ class Vamp:
         return bool(self.robot.validate(np.asarray(q, np.float32), environment))
 
     def unlike(self, robot: jaxik.Robot, coal: Coal, count: int = 100) -> float:
-        """By how much its spheres differ from those that coal judges, in place or radius, at random postures [m]."""
+        """The most by which its spheres differ from those that coal judges, in place or radius, at random postures [m]."""
         most, geometry, data = 0.0, coal.robot, coal.robot.createData()
         postures = np.random.default_rng(0).uniform(*robot.finite_limits, (count, robot.num_joints))
         for q, whole in zip(postures, coal.whole(postures), strict=True):
@@ -171,7 +170,7 @@ class KernelClock:
     """The time that calls spend in kernels, without Python, by what these are for [s]."""
 
     def __init__(self, robot: jaxik.Robot):
-        bare = apart(robot)[0]
+        bare = collision_checker.CollisionChecker(robot, None, 0.0).robot
         known = {
             "search": tree_search.searched,
             "shortcuts": shortcuts.shortest,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 from tables.words import duration
 
 
 def planners_markdown(result: dict[str, Any]) -> str:
-    """What each takes, how long its ways are, and what hits; lines of who was not there are left out."""
+    """Times, lengths and hits of each planner, and no lines of one that was not there."""
     parts = [_times(result), _judged(result)]
     if "search" in result:
         parts.insert(1, _ways(result))
@@ -60,11 +61,14 @@ def _ways(result: dict[str, Any]) -> list[str]:
         ("jaxik to VAMP, mean; most", "improved", lambda row: both(row, "to_vamp_mean", "to_vamp_most")),
     ]
     of = {"length": (result["length_rad"], result["length_m"]), "improved": (more["rad"], more["m"])}
-    medians, sums = search["ratio_of_p50"], search["ratio_of_sums"]
+    told = f"jaxik's search takes {search['ratio_of_p50']:.1f} times VAMP's by the medians, "
+    told += f"{search['ratio_of_sums']:.1f} times in all, "
+    told += (
+        f"{ratio['p50']:.1f} times in the median problem (95 %: {ratio['p95']:.0f}). In the mean it is {edges:.0f} edges of "
+    )
+    told += f"{search['jaxik_us_an_edge']:.1f} us beside {turns:.0f} iterations of {search['vamp_us_an_iteration']:.2f} us."
     return [
-        f"jaxik's search takes {medians:.1f} times VAMP's by the medians, {sums:.1f} times in all, {ratio['p50']:.1f} times",
-        f"in the median problem (95 %: {ratio['p95']:.0f}). In the mean it is {edges:.0f} edges",
-        f"of {search['jaxik_us_an_edge']:.1f} us beside {turns:.0f} iterations of {search['vamp_us_an_iteration']:.2f} us.",
+        *textwrap.wrap(told, 118),
         "",
         "| length of ways | joints as they are [rad] | joints by their reach [m] |",
         "| --- | --- | --- |",
