@@ -111,6 +111,13 @@ INSIDE = {  # what reaches inside, and why there is no public way: it measures a
     ("batch_eval/papers/ilqr.py", "jaxik.optimise.ocp"): "the problem that two solvers share",
     ("batch_eval/peppers.py", "jaxik.collision.continuous_collision.joint_reaches"): "samples like a peer's",
     (
+        "batch_eval/peers/motion_judges.py",
+        "jaxik.collision.continuous_collision.joint_reaches",
+    ): "samples like a peer's",
+    ("batch_eval/peers/planner_peers.py", "jaxik.planning.collision_checker"): "the time of each kernel by itself",
+    ("batch_eval/peers/planner_peers.py", "jaxik.planning.shortcuts"): "the time of each kernel by itself",
+    ("batch_eval/peers/planner_peers.py", "jaxik.planning.tree_search"): "the time of each kernel by itself",
+    (
         "batch_eval/planning_benchmark.py",
         "jaxik.collision.continuous_collision.joint_reaches",
     ): "samples like a peer's",
