@@ -19,6 +19,7 @@ from tables.forces import dynamics_markdown, identification_markdown, torque_mar
 from tables.motions import (
     astar_markdown,
     ends_markdown,
+    furniture_markdown,
     harvest_motions_markdown,
     jerk_markdown,
     peppers_markdown,
@@ -57,6 +58,7 @@ TABLES = {
     "collision_scaling.json": scaling_markdown,
     "dynamics_benchmark.json": dynamics_markdown,
     "ends_benchmark.json": ends_markdown,
+    "furniture_benchmark.json": furniture_markdown,
     "general_arms.json": general_markdown,
     "harvest_motions.json": harvest_motions_markdown,
     "identification.json": identification_markdown,

@@ -94,7 +94,8 @@ class Coal(Peer):
     or of MJCF by its name.
 
     `broad` puts coal's dynamic tree of boxes before the pairs (Pinocchio's BroadPhaseManager), which `collides` may use.
-    `posture` is where joints beside the chain stand [rad, m], the others at their neutral positions.
+    `posture` is where joints beside the chain stand [rad, m], the others at their neutral positions. `as_robot` leaves out what
+    the robot does, as pairs of links whose meshes touch in most postures; `packages` are the folders below which meshes lie.
     """
 
     def __init__(
@@ -104,6 +105,8 @@ class Coal(Peer):
         srdf: Path | None,
         broad: bool = False,
         posture: Mapping[str, float] | None = None,
+        as_robot: bool = False,
+        packages: tuple[Path, ...] = (),
     ):
         super().__init__()
         self.broad = broad
@@ -112,10 +115,12 @@ class Coal(Peer):
             self.robot = pin.buildGeomFromMJCF(self.model, str(urdf), pin.GeometryType.COLLISION)
         else:
             self.model = pin.buildModelFromUrdf(str(urdf))
-            self.robot = pin.buildGeomFromUrdf(self.model, str(bare(urdf)), pin.GeometryType.COLLISION)
+            where = {"package_dirs": [str(folder) for folder in packages]} if packages else {}
+            self.robot = pin.buildGeomFromUrdf(self.model, str(bare(urdf)), pin.GeometryType.COLLISION, **where)
         self.robot.addAllCollisionPairs()
         name = [self.model.frames[body.parentFrame].name for body in self.robot.geometryObjects]
         left_out = {frozenset(pair) for pair in ignored(robot, srdf)}
+        left_out |= {frozenset(pair.links) for pair in robot.unchecked if as_robot}
         pairs = [(pair.first, pair.second) for pair in self.robot.collisionPairs]
         self.robot.removeAllCollisionPairs()
         for a, b in pairs:
@@ -167,6 +172,52 @@ class Coal(Peer):
         else:
             ask = lambda row: pin.computeCollisions(self.model, self.data, manager, row, True)
         return np.array([ask(row) for row in self.whole(q)])
+
+
+class CoalOfVolumes(Coal):
+    """The same of a robot's balls, capsules and boxes, whatever file they came from, by Pinocchio's kinematics from its
+    numbers."""
+
+    def __init__(self, robot: jaxik.Robot, broad: bool = False):
+        Peer.__init__(self)
+        if robot.convex_parts or any(len(volume.corners) > 2 for volume in robot.volumes):
+            raise ValueError(f"{robot.name}: has shapes that are neither balls nor capsules nor boxes")
+        self.broad, self.names, self.posture = broad, robot.joint_names, {}
+        self.model, self.robot = model_of(robot), pin.GeometryModel()
+        parts = [(each.link, *_swept(np.asarray(each.corners, np.float64), float(each.radius))) for each in robot.volumes]
+        for each in robot.boxes:
+            parts.append((each.link, coal.Box(*map(float, 2.0 * each.half)), pin.SE3(np.asarray(each.joint_T_box, np.float64))))
+        link = [part[0] for part in parts]
+        for i, (at, shape, frame) in enumerate(parts):
+            joint = robot.link_joint[at]
+            placed = frame if joint else pin.SE3(np.asarray(robot.world_T_base, np.float64)) * frame
+            self.robot.addGeometryObject(pin.GeometryObject(f"part_{i}", joint, placed, shape))
+        checked = {frozenset(pair) for pair in robot.self_pairs}
+        for a, b in itertools.combinations(range(len(link)), 2):
+            if frozenset((link[a], link[b])) in checked:
+                self.robot.addCollisionPair(pin.CollisionPair(a, b))
+        self.data = self.model.createData()
+
+
+def model_of(robot: jaxik.Robot) -> Any:
+    """Pinocchio's model of a robot's numbers, where it stands in the world."""
+    model, joint = pin.Model(), 0
+    for i, prismatic in enumerate(robot.is_prismatic):
+        kind = pin.JointModelPrismaticUnaligned if prismatic else pin.JointModelRevoluteUnaligned
+        placed = pin.SE3(np.asarray(robot.parent_T_joint[i], np.float64))
+        if i == 0:
+            placed = pin.SE3(np.asarray(robot.world_T_base, np.float64)) * placed
+        joint = model.addJoint(joint, kind(np.array(robot.axis[i], np.float64)), placed, robot.joint_names[i])
+    return model
+
+
+def _swept(corners: np.ndarray, radius: float) -> tuple[Any, Any]:
+    """The ball or capsule of one or two corners (c, 3), and its frame."""
+    along = corners[-1] - corners[0]
+    if not (length := float(np.linalg.norm(along))):
+        return coal.Sphere(radius), pin.SE3(np.eye(3), corners[0])
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along / length).matrix()
+    return coal.Capsule(radius, length), pin.SE3(turn, corners.mean(axis=0))
 
 
 class MuJoCo(Peer):

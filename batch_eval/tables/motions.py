@@ -354,3 +354,14 @@ def slit_markdown(result: dict[str, Any]) -> str:
         half, last = (duration(1e6 * x) for x in (times[len(times) // 2], times[-1]))
         lines.append(f"| {name} | {within} of {many * len(slots)} | {free} | {half} | {last} |")
     return "\n".join(lines)
+
+
+def furniture_markdown(result: dict[str, Any]) -> str:
+    """A row for each robot."""
+    head = "| robot, joints | problems | solved | proven to have no way | free by coal | p50, p95, slowest |"
+    lines = [head, "| --- | --- | --- | --- | --- | --- |"]
+    for name, row in result["robots"].items():
+        times = ", ".join(f"{row[key]:.0f} ms" for key in ("p50_ms", "p95_ms", "slowest_ms"))
+        solved = " | ".join(str(row[key]) for key in ("problems", "solved", "no_way", "free"))
+        lines.append(f"| {name}, {row['joints']} | {solved} | {times} |")
+    return "\n".join(lines)

@@ -228,8 +228,9 @@ class Robot(Value, Constant):
             raise ValueError(f"with_spheres: {shown(per_box)} spheres a box; allowed: 1, 8, 64, 512")
         return dataclasses.replace(self, spheres_per_box=int(per_box))
 
-    def part(self, first: int, last: int) -> Robot:
-        """Joints `first` to `last - 1` as a robot of their own, with what moves with them; its base is the parent of the first.
+    def part(self, first: int, last: int, *, base: bool = False) -> Robot:
+        """Joints `first` to `last - 1` as a robot of their own, with what moves with them; its base is the parent of the first,
+        with what stands on it if `base` is asked for.
 
         Its tip is the last joint's frame, or the robot's own tip where it ends there. Raises `ValueError` for joints that the
         robot does not have.
@@ -240,7 +241,7 @@ class Robot(Value, Constant):
                 f"part: joints {shown(first)} to {shown(last)}; allowed: 0 <= first <= last <= {self.num_joints}, whole numbers"
             )
         first, last = int(first), int(last)  # the links' joints are static, and plain
-        kept = [i for i, j in enumerate(self.link_joint) if first < j <= last]
+        kept = [i for i, j in enumerate(self.link_joint) if first < j + base and j <= last]
         link = {old: new for new, old in enumerate(kept)}
         cut = slice(first, last)
         own = lambda parts: tuple(dataclasses.replace(part, link=link[part.link]) for part in parts if part.link in link)

@@ -32,10 +32,13 @@ ROUNDING = 1e-9  # [m] of a clearance
 KEPT = 12  # slopes
 
 
-def escaped(space: CollisionChecker, robot: Robot, scene: Scene | None, q: np.ndarray) -> np.ndarray | None:
+def escaped(
+    space: CollisionChecker, robot: Robot, scene: Scene | None, q: np.ndarray, among: np.ndarray | None = None
+) -> np.ndarray | None:
     """Waypoints (k, n) from a configuration (n,) back inside the bounds of `space` and out of collision; None where no such way
-    was found. On the straight lines between them the clearance falls nowhere that it is below the margin: looked at each half
-    millimetre, not proven. The last one keeps the margin, and 2 mm more where that can be had."""
+    was found. The scene is the one of `space` that has the number `among` (1,). On the straight lines between them the
+    clearance falls nowhere that it is below the margin: looked at each half millimetre, not proven. The last one keeps the
+    margin, and 2 mm more where that can be had."""
     depths = Depths(space, robot, scene)
     inside = np.clip(q, space.lower, space.upper)
     way = [q] if np.array_equal(inside, q) else [q, inside]
@@ -44,7 +47,7 @@ def escaped(space: CollisionChecker, robot: Robot, scene: Scene | None, q: np.nd
         return None
     if depths.of(inside[None])[0][0] < space.margin + CLOSE:
         way += _ascended(depths, inside)
-    free = depths.of(way[-1][None])[0][0] >= space.margin + CLOSE and not space.hits(way[-1][None], CLOSE)[0]
+    free = depths.of(way[-1][None])[0][0] >= space.margin + CLOSE and not space.hits(way[-1][None], CLOSE, among)[0]
     return np.array(_thinned(depths, way, first)) if free else None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import time
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, Literal, NamedTuple
@@ -16,7 +17,7 @@ from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
 from jaxik.options import Options, choice, count, flag, instance, number, per_joint
-from jaxik.planning.cells import separated
+from jaxik.planning.cells import JOINTS, separated
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.escape import escaped, led_out
 from jaxik.planning.goal_search import searched
@@ -31,6 +32,8 @@ from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory, padded
 from jaxik.planning.ways import LOOKS, blended
 from jaxik.reasons import Reason
+
+EARLY = 30_000  # rounds after which it is asked of an arm of few joints whether there is a way, before they are sought anew
 
 
 class PlanOptions(Options, who="plan_motion"):
@@ -49,8 +52,8 @@ class PlanOptions(Options, who="plan_motion"):
         default=None, unit="rad/s3, m/s3", words="limits of jerk, one number or one a joint; None is no limit"
     )
     rounds: int = count(
-        default=50_000,
-        words="edges that the search tries at most; after 20, 50 and 70 % of them it looks closer, with finer samples",
+        default=100_000,
+        words="edges that the search tries at most; after 30, 60 and 80 % of them it looks closer, with finer samples",
     )
     timeout: float | None = number(
         default=None,
@@ -209,17 +212,28 @@ def _search(
     of starts without `escapes`: elsewhere there may be another posture, or another way out."""
     rows = np.array([i for i, way in enumerate(ways) if way is None and not ended.where[i]], int)
     until = np.inf if options.timeout is None else time.monotonic() + options.timeout * len(rows)
-    tell = lambda taken, done: told(taken, len(starts) - len(rows) + done)
-    sought = [goals[i] for i in rows]
-    found = searched(space, starts[rows], sought, given, seed, options.rounds, until, limits, tell, among[rows])
-    for i, way, gap in zip(rows.tolist(), found.ways, found.gaps, strict=True):
-        ways[i] = way
-        if way is None:
-            whole = given and i not in escapes
-            none = whole and separated(space, places[i].robot, places[i].scene, starts[i], goals[i], until)
-            ended.reason[i], ended.stuck[i] = int(Reason.NO_WAY if none else Reason.NOT_CONVERGED), gap
     rounds, checked = np.zeros((2, len(starts)), int)
-    rounds[rows], checked[rows] = found.rounds, found.checked
+    for attempt in itertools.count():  # anew with other samples, where trees were given up before the rounds are over
+        most = EARLY if attempt == 0 and starts.shape[1] <= JOINTS else options.rounds
+        sought = [goals[i] for i in rows]
+        tell = lambda taken, done, rows=rows: told(int(rounds[rows[0]]) + taken, len(starts) - len(rows) + done)
+        left, drawn = np.minimum(most, options.rounds - rounds[rows]), (seed, attempt) if attempt else seed
+        found = searched(space, starts[rows], sought, given, drawn, left, until, limits, tell, among[rows])
+        rounds[rows] += found.rounds
+        checked[rows] += found.checked
+        again = []
+        for i, way, gap, taken in zip(rows.tolist(), found.ways, found.gaps, found.rounds.tolist(), strict=True):
+            ways[i] = way
+            if way is None:
+                whole = not attempt and given and i not in escapes
+                none = whole and separated(space, places[i].robot, places[i].scene, starts[i], goals[i], until)
+                ended.reason[i], ended.stuck[i] = int(Reason.NO_WAY if none else Reason.NOT_CONVERGED), gap
+                again += [i] * bool(not none and taken and rounds[i] < options.rounds)
+            else:
+                ended.reason[i], ended.stuck[i] = int(Reason.SOLVED), np.nan
+        rows = np.array(again, int)
+        if not len(rows) or time.monotonic() > until:
+            break
     return rounds, checked
 
 
@@ -278,7 +292,7 @@ def _begun(
     """The starts (b, n) from which ways are sought, and by their number the ways (k, n) out of collision and back inside the
     limits that lead to those that are not as they were given."""
     needed = np.flatnonzero(np.isin(judged(robot, space, starts, among), (Reason.COLLISION, Reason.LIMITS))).tolist()
-    tried = {i: escaped(space, robot, places[i].scene, starts[i]) for i in needed}
+    tried = {i: escaped(space, robot, places[i].scene, starts[i], among[i : i + 1]) for i in needed}
     found, starts = {i: way for i, way in tried.items() if way is not None}, np.array(starts)
     for i, way in found.items():
         starts[i] = way[-1]

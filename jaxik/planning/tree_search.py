@@ -28,7 +28,7 @@ from jaxik.spmd.trace import TEAM_SIZE
 
 BLOCKS, MOST = 64, 512  # of nodes that a tree has room for at first and at most, as many a block as a team has lanes
 SPARSE = 0.9  # of a step, from which on a node is not as good as another
-UNLIKE = 10  # times as many nodes as the other tree has, at which the smaller one, in the narrower place, grows alone; sooner
+UNLIKE = 3  # times as many nodes as the other tree has, at which the smaller one, in the narrower place, grows alone; sooner
 # by as many times as there are scales
 SMALLER = 4.0  # times, each scale of the samples about a node than the one before
 SAMPLING, JOINING, ON = 0, 1, 2  # what the next turn does: a tree grows to a sample, the other to what is new, and on to it
@@ -68,7 +68,7 @@ class Searches:
         goals: Sequence[np.ndarray],
         lower: np.ndarray,
         upper: np.ndarray,
-        seed: int,
+        seed: int | tuple[int, int],
         among: np.ndarray,
     ):
         count, n = starts.shape
@@ -164,7 +164,7 @@ class Reach(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def _offset(seed: int, draw: int, n: int) -> np.ndarray:
+def _offset(seed: int | tuple[int, int], draw: int, n: int) -> np.ndarray:
     """Where the samples of the search of such a number begin (n,), the first time it is 1."""
     return np.random.default_rng(seed).integers(0, 2**32, (draw, n), dtype=np.uint32)[-1]
 

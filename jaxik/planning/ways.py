@@ -35,9 +35,9 @@ class Look(NamedTuple):
 
 
 LOOKS = (
-    Look(0.05, 0.003, 0.2, 1, 1.1, 1024),
-    Look(0.025, 0.001, 0.5, 2, 1.1, 1024),
-    Look(0.0125, 0.0, 0.7, 3, 1.1, 512),
+    Look(0.05, 0.003, 0.3, 1, 1.1, 4096),
+    Look(0.025, 0.001, 0.6, 2, 1.1, 4096),
+    Look(0.0125, 0.0, 0.8, 3, 1.1, 4096),
     Look(0.003125, 0.0, 1.0, 5, 1.01, 512),
 )
 PARTS = np.array([0.25, 0.5, 1.0])  # of a look's cushion, that a search keeps whose ends lack the whole of it
@@ -63,7 +63,7 @@ def proven_ways(
     space: CollisionChecker,
     starts: np.ndarray,
     goals: Sequence[np.ndarray],
-    seed: int,
+    seed: int | tuple[int, int],
     rounds: np.ndarray,
     seconds: float | None = None,
     progress: Callable[[int, int], Any] | None = None,
@@ -88,7 +88,7 @@ def _proven_ways(
     space: CollisionChecker,
     starts: np.ndarray,
     goals: Sequence[np.ndarray],
-    seed: int,
+    seed: int | tuple[int, int],
     rounds: np.ndarray,
     seconds: float | None,
     progress: Callable[[int, int], Any],

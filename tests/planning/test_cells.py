@@ -132,3 +132,27 @@ def test_none_is_proven_of_some_postures_or_of_one_way_out(two):
     led = [plan_motion(robot, [at, 0.0], [1.2, 0.0], scene=wide, rounds=2000, escape=True) for at in (-0.1, 0.1)]
     assert coal.clearance(wide, np.array([[-0.1, 0.0], [0.1, 0.0]])).max() < 0.0
     assert [each.reason for each in led] == [Reason.NOT_CONVERGED, Reason.SOLVED]
+
+
+def test_the_first_joints_of_an_arm_tell(two, tmp_path):
+    """An arm of five joints has no way where its first two, which coal judges alone, have none; and none is told elsewhere."""
+    robot, coal = two
+    hand = "".join(
+        f'<link name="{name}"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>'
+        f'<joint name="{name}" type="revolute"><parent link="{before}"/><child link="{name}"/><origin xyz="{x} 0 0"/>'
+        f'<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="2"/></joint>'
+        for before, name, x in (("b", "c", 0.25), ("c", "d", 0.05), ("d", "e", 0.05))
+    )
+    kind = "continuous" if np.isinf(robot.lower[0]) else "revolute"
+    file = tmp_path / "five.urdf"
+    arm = URDF.format(links="".join(map(LINK.format, "ab")), kind=kind).replace('<parent link="b"/><child link="tip"/>', "{}")
+    file.write_text(arm.replace("{}", '<parent link="e"/><child link="tip"/>').replace("</robot>", f"{hand}</robot>"))
+    five = jaxik.load(file, tip="tip")
+    wall = jaxik.make_scene(spheres=[[0.05, y, 0.0, 0.14] for y in (-0.45, -0.2, 0.2, 0.45)])
+    q, parts = _grid_parts(robot, coal, wall)
+    part = lambda at: next(i for i, cells in enumerate(parts) if np.abs(q[tuple(cells.T)] - at).max(axis=1).min() < 0.05)
+    for first in ([2.45, 0.0], [0.1, 0.3]):
+        moved = plan_motion(five, np.zeros(5), [*first, 0.5, -0.4, 0.2], scene=wall, rounds=2000)
+        assert moved.reason == (Reason.SOLVED if part(first) == part([0.0, 0.0]) else Reason.NO_WAY)
+    assert part([2.45, 0.0]) != part([0.0, 0.0]) == part([0.1, 0.3])
+    assert not separated(CollisionChecker(five, wall, 0.0), five, wall, np.zeros(5), np.array([[0.1, 0.3, 0.5, 0.0, 0.0]]))

@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy.ndimage import label
 
 import jaxik
 from jaxik.planning import plan_motion
@@ -49,12 +50,24 @@ def test_out_of_a_collision(arm, scene, start, margin):
     assert coal.clearance(scene, q[out:]).min() >= margin - 1e-5
 
 
+def _apart(coal, scene, one, other, size=160):
+    """Whether two configurations lie in different parts of what coal says is free of the arm's last two joints: the first one
+    makes no difference to an arm that is alone."""
+    axis = np.linspace(-2.8, 2.8, size)
+    grid = np.stack([np.zeros((size, size)), *np.meshgrid(axis, axis, indexing="ij")], axis=-1)
+    parts, _ = label(~coal.collides(scene, grid.reshape(-1, 3)).reshape(size, size))
+    away = lambda q: np.where(parts > 0, np.abs(grid - [0.0, *q[1:]]).max(axis=-1), np.inf)
+    nearest = [np.unravel_index(np.argmin(away(q)), parts.shape) for q in (one, other)]
+    return parts[nearest[0]] != parts[nearest[1]]
+
+
 def test_out_of_itself_and_back_inside_the_limits(arm):
     robot, coal = arm
     nothing, q = jaxik.make_scene(), np.random.default_rng(0).uniform(-2.8, 2.8, (800, 3))
     folded = q[coal.clearance(nothing, q) < -0.005][:12]
     moved = plan_motion(robot, folded, GOAL, escape=True, rounds=2000)  # some are folded so that they cannot unfold
-    assert len(folded) == 12 and np.isin(moved.reason, (Reason.SOLVED, Reason.NOT_CONVERGED)).all() and moved.success.sum() >= 6
+    assert len(folded) == 12 and np.isin(moved.reason, (Reason.SOLVED, Reason.NO_WAY)).all() and moved.success.sum() >= 6
+    assert all(_apart(coal, nothing, each.stuck[0], GOAL) for each in moved if not each)
     assert all(each.escaped >= 1 and _rises(each, coal, nothing, 0.0) for each in moved if each)
     beyond = plan_motion(robot, [3.0, 0.0, 0.0], GOAL, scene=BOX, escape=True)
     assert beyond.success and beyond.escaped == 1
@@ -103,6 +116,18 @@ def test_a_free_start_needs_no_escape_and_a_batch_is_as_each_alone(arm):
             np.testing.assert_array_equal(each.waypoints, alone.waypoints)
     without = plan_motion(robot, starts[1], GOAL, scene=BOX)
     np.testing.assert_array_equal(without.waypoints, moved[1].waypoints)
+
+
+def test_the_way_out_is_that_of_its_own_scene(arm):
+    """Where it ends is free in the second scene, amid a wall of the first one."""
+    robot, coal = arm
+    wall = jaxik.make_scene(boxes=[[0.5, 0.0, 0.0, 1.0, 0.6, 0.5], [-0.9, 0.0, 0.0, 0.1, 0.6, 0.5]])
+    starts, goals = np.array([[2.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.array([[2.2, 0.0, 0.0], [0.3, 0.1, 0.0]])
+    assert coal.collides(wall, goals).tolist() == [False, True] and coal.collides(BOX, starts).tolist() == [False, True]
+    moved = plan_motion(robot, starts, goals, scene=[wall, BOX], escape=True)
+    alone = plan_motion(robot, starts[1], goals[1], scene=BOX, escape=True)
+    assert moved.success.all() and moved.escaped.tolist() == [0, alone.escaped]
+    np.testing.assert_array_equal(moved.waypoints[1], alone.waypoints)
 
 
 def test_the_steepest_ascent_of_a_minimum_is_that_of_a_quadratic_program():

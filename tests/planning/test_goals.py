@@ -89,7 +89,9 @@ def test_each_goal_that_is_nearer_is_tried_once(arm, monkeypatch):
     monkeypatch.setattr(goal_search, "other_ways", lambda robot, start, goals, lower, upper: goals[:0])
     limits = motion_limits("x", robot, 1.0, 1.0, (3,))
     space, told, import_time = CollisionChecker(robot, None, 0.0), lambda taken, ended: None, goal_search.time.monotonic()
-    result = searched(space, np.zeros((1, 3)), [goals], True, 0, 100, import_time + 60.0, limits, told, np.zeros(1, int))
+    result = searched(
+        space, np.zeros((1, 3)), [goals], True, 0, np.full(1, 100), import_time + 60.0, limits, told, np.zeros(1, int)
+    )
     assert asked == [goals.tolist(), [[0.0, 0.0, 0.1]], [[0.0, 0.0, -0.2]], [[0.0, 0.3, 0.0]]]
     assert all(0.0 < each <= 60.0 for each in seconds) and sorted(seconds, reverse=True) == seconds
     np.testing.assert_array_equal(result.ways[0][-1], [0.0, 0.3, 0.0])

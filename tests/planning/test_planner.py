@@ -165,7 +165,7 @@ def test_no_way_is_proven_or_not_converged(arm):
 
 def test_what_is_walled_in_is_given_up_early(arm):
     moved = plan_motion(arm[0], [0.0, 0.0, 0.0], [0.0, 0.0, 3.1], scene=ENCLOSED)
-    assert _told(moved) == "no way" and moved.rounds < 20_000  # of 50,000
+    assert _told(moved) == "no way" and moved.rounds <= 30_000  # of 100,000
     assert plan_motion(arm[0], START, GOAL, scene=POLES, timeout=0.0).rounds == 0
     assert plan_motion(arm[0], START, GOAL, scene=POLES, timeout=9.0).rounds > 0
 
@@ -206,7 +206,7 @@ def test_progress_counts_motions_or_rounds(arm):
     assert told == [(1, 2), (2, 2)]
     told.clear()
     moved = plan_motion(arm[0], START, GOAL, scene=POLES, progress=lambda *x: told.append(x))
-    assert told == [(moved.rounds, 50_000), (50_000, 50_000)]  # the clock is looked at every 128 rounds
+    assert told == [(moved.rounds, 100_000), (100_000, 100_000)]  # the clock is looked at every 128 rounds
 
 
 @pytest.mark.parametrize("empty", [np.empty((0, 3)), [], np.empty((0, 4, 4))])
