@@ -1,7 +1,8 @@
 """Kinematics and dynamics of a robot with branches, mimic joints or a moving base by Pinocchio, in float64.
 
-Pinocchio reads the robot's own file, with each joint free, also those that mimic another. With q' = G q + o of all of them, o and
-G of the file's `<mimic>`, what it says of q' is by the chain rule what the robot says of q: M = G' M' G, tau = G' tau', J = J' G.
+Pinocchio reads the robot's own file, with each joint free, also those that mimic another. With q' = G q + o of all of them, o
+and G of the file's `<mimic>`, what it says of q' is by the chain rule what the robot says of q: M = G' M' G, tau = G' tau',
+J = J' G.
 """
 
 from __future__ import annotations
@@ -91,7 +92,8 @@ class TreeTruth:
     def jacobian(self, q: np.ndarray, link: str) -> np.ndarray:
         x = self.q(q)
         return np.array(
-            pin.computeFrameJacobian(self.model, self.data, x, self.frame(link), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED) @ self.G
+            pin.computeFrameJacobian(self.model, self.data, x, self.frame(link), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+            @ self.G
         )
 
     def centre(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

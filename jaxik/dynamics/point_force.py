@@ -124,7 +124,9 @@ def _columns(robot: Robot, frames: JointFrames, joint: Any, at: Vec3) -> list[Ve
         column = axis if prismatic else axis.cross(at - frame.translation)
         share = jnp.where(_moved_by(robot, joint, i), 1.0, 0.0).astype(jnp.result_type(at.x))
         rows.append(Vec3(*(mul(share, x) for x in column)))
-    return [Vec3(*column) for column in zip(*(joint_sums(robot, component) for component in zip(*rows, strict=True)), strict=True)]
+    return [
+        Vec3(*column) for column in zip(*(joint_sums(robot, component) for component in zip(*rows, strict=True)), strict=True)
+    ]
 
 
 def _moved_by(robot: Robot, joint: Any, row: int) -> Any:

@@ -61,9 +61,9 @@ def inverse_dynamics(
     """Returns the torque of the drives for a motion, `tau = M qddot + b(q, qdot) + g(q) - J' wrenches` (n,) [Nm, N]. Traced.
 
     `qdot` and `qddot` (n,) are in [rad/s, m/s] and [rad/s2, m/s2]. `wrenches` (m, 6) act on the body that moves with each
-    joint, those that follow others last: force [N], then torque [Nm] about the origin of that joint's frame, both in base axes (`wrench_on` makes them).
-    `gravity` (3,) [m/s2] is in world axes; `robot.world_T_base` says how the base hangs in it. The torque has the rotors
-    (`robot.armature`) in it, but not friction.
+    joint, those of joints that follow others last: force [N], then torque [Nm] about the origin of that joint's frame, both in
+    base axes (`wrench_on` makes them). `gravity` (3,) [m/s2] is in world axes; `robot.world_T_base` says how the base hangs in
+    it. The torque has the rotors (`robot.armature`) in it, but not friction.
 
     Raises `ValueError` for other shapes, and for a robot without bodies or with bodies that cannot be. Source: Luh, Walker,
     Paul 1980; Schuetz 2017, eq. (3.8)-(3.10).
@@ -91,7 +91,7 @@ def _inverse(who: str, robot: Robot, q: Any, qdot: Any, qddot: Any, wrenches: An
     qs, dtype = traced(q), q.dtype
     given = _rates("qdot", robot, qdot, dtype), _rates("qddot", robot, qddot, dtype)
     around = _in_joints(robot, qs, wrenches, dtype)
-    joints, bodies = placed(robot, qs, dtype), _bodies(who, robot)
+    joints, bodies = placed(robot, qs, dtype), moments(who, robot)
     torques = _torques(robot, joints, bodies, *given, _base_gravity(robot, gravity, dtype), around)
     return stack(torques, (robot.num_joints,), dtype)
 
@@ -188,7 +188,7 @@ def mass_matrix(robot: Robot, q: Float[Array, " n"]) -> Float[jax.Array, "n n"]:
     sec. 6.2 (composite rigid bodies).
     """
     q = as_configuration(robot, q)
-    rows = _mass_matrix(robot, placed(robot, traced(q), q.dtype), _bodies("mass_matrix", robot))
+    rows = _mass_matrix(robot, placed(robot, traced(q), q.dtype), moments("mass_matrix", robot))
     return stack([rows[max(i, j)][min(i, j)] for i in range(q.size) for j in range(q.size)], (q.size, q.size), q.dtype)
 
 
@@ -232,13 +232,13 @@ def forward_dynamics(
 ) -> Float[jax.Array, " n"]:
     """Returns the accelerations `qddot` (n,) [rad/s2, m/s2] that the drives' `torque` (n,) [Nm, N] gives. Traced.
 
-    The inverse of `inverse_dynamics`, with the same arguments and errors. M is factorised from the tips as L' D L, whose
-    zeros between branches cost nothing; for six to nine joints that is less work than articulated bodies. A joint that turns nothing (point masses on its axis, and no rotor)
-    has infinite acceleration.
+    The inverse of `inverse_dynamics`, with the same arguments and errors. M is factorised from the tips as L' D L, whose zeros
+    between branches cost nothing; for six to nine joints that is less work than articulated bodies. A joint that turns nothing
+    (point masses on its axis, and no rotor) has infinite acceleration.
     """
     q = as_configuration(robot, q)
     qs, dtype = traced(q), q.dtype
-    joints, bodies = placed(robot, qs, dtype), _bodies("forward_dynamics", robot)
+    joints, bodies = placed(robot, qs, dtype), moments("forward_dynamics", robot)
     rates, rest = _rates("qdot", robot, qdot, dtype), _rates("qddot", robot, None, dtype)
     around = _in_joints(robot, qs, wrenches, dtype)
     bias = _torques(robot, joints, bodies, rates, rest, _base_gravity(robot, gravity, dtype), around)
@@ -286,7 +286,7 @@ def energy(robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], *, gra
     The gradient of `potential` by q is `gravity_torque`. Raises `ValueError` as `inverse_dynamics` does.
     """
     q = as_configuration(robot, q)
-    rates, bodies = row_rates(robot, _rates("qdot", robot, qdot, q.dtype)), _bodies("energy", robot)
+    rates, bodies = row_rates(robot, _rates("qdot", robot, qdot, q.dtype)), moments("energy", robot)
     moving, twice = {BASE_ROW: (ZERO, ZERO)}, jnp.zeros((), q.dtype)
     joints = placed(robot, traced(q), q.dtype)
     for i in robot.tree.order:
@@ -311,7 +311,8 @@ def energy(robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], *, gra
 def regressor(
     robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], qddot: Float[Array, " n"], *, gravity: Any = GRAVITY
 ) -> Float[jax.Array, "n p"]:
-    """Returns Y (n, 10 m) in `inverse_dynamics = Y(q, qdot, qddot) parameters + armature qddot`, linear in the m bodies. Traced.
+    """Returns Y (n, 10 m) in `inverse_dynamics = Y(q, qdot, qddot) parameters + armature qddot`, linear in the bodies.
+    Traced.
 
     It needs no bodies. Raises `ValueError` for other shapes. Source: Atkeson, An, Hollerbach 1986.
     """
@@ -331,7 +332,7 @@ def regressor(
     return stack([e for row in rows for e in row], (n, INERTIAL * len(joints)), dtype)
 
 
-def _bodies(who: str, robot: Robot) -> list[Moments]:
+def moments(who: str, robot: Robot) -> list[Moments]:
     """Returns the bodies' moments. Raises `ValueError` for a robot without bodies, and for bodies that cannot be; traced ones
     are taken as they are."""
     need_bodies(who, robot)

@@ -126,8 +126,8 @@ def load(
 
     `options` and `changes`, fields of `LoadOptions` by name, say how the file is read: `load("arm.urdf", meshes=True)`.
 
-    All that hangs on the robot belongs to it, with shapes and masses; joints beside it are held (`held`, `posture`). What is above
-    `base` is left out, and what flies freely in an MJCF. Damping and dry friction of a URDF's and an MJCF's joints are in
+    All that hangs on the robot belongs to it, with shapes and masses; joints beside it are held (`held`, `posture`). What is
+    above `base` is left out, and what flies freely in an MJCF. Damping and dry friction of a URDF's and an MJCF's joints are in
     `drives`, which are ideal otherwise: a current is a torque. A warning, one line each, tells what a file has besides that the
     robot has not (springs, gravity of its own), and what it is likely to mean otherwise (limits in degrees).
 
@@ -145,7 +145,12 @@ def load(
     for line in notes.lines():
         warnings.warn(f"{shown(robot.name)}: {line}", stacklevel=2)
     robot = dataclasses.replace(robot, ignored=tuple(dict.fromkeys(robot.ignored + beside)))
-    if asked.posture is None and asked.held is None and not robot.unread_meshes and (told := stance.told(_solid(robot, shapes))):
+    if (
+        asked.posture is None
+        and asked.held is None
+        and not robot.unread_meshes
+        and (told := stance.told(_solid(robot, shapes)))
+    ):
         warnings.warn(f"{shown(robot.name)}: {told}", stacklevel=2)
     if asked.exact and not shapes and not robot.surfaces:
         mend = "leave it out: its shapes are what is measured"

@@ -94,6 +94,8 @@ def load_mjcf(
     tips = tips or [Tip(name, name, np.eye(4)) for name in ways.tips]
     tips = [each._replace(link_T_tip=each.link_T_tip if tool is None else each.link_T_tip @ tool) for each in tips]
     return assemble_tree(path, path.stem, first, pairs, links, tips[0] if single else tips)
+
+
 def _note_forces(model: Any, run: list[int], names: list[str], notes: Notes) -> None:
     """Tell of what acts on the chain in MuJoCo, and is in no torque here."""
     joints = [i for i in range(model.njnt) if model.jnt_bodyid[i] in run]

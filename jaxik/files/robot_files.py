@@ -84,7 +84,9 @@ def _toml(robot: Robot) -> str:
         placed = {"offset": each.offset, "frame": robot.parent_T_joint[i], "axis": robot.axis[i]}
         tables.append(("mimic", follows | placed | (hung[i] or {"parent": robot.row_names[i - 1]}) | bodies[i]))
     if not single:
-        each_tip = zip(robot.tip_names or [f"tip_{i}" for i in range(len(robot.tips))], robot.tips, robot.tip_frames, strict=True)
+        each_tip = zip(
+            robot.tip_names or [f"tip_{i}" for i in range(len(robot.tips))], robot.tips, robot.tip_frames, strict=True
+        )
         tables += [("tip", {"name": name, "joint": joint, "frame": frame}) for name, joint, frame in each_tip]
     tables += [("link", row(LINK, i) | more) for i, more in enumerate(unread)]
     for box in robot.boxes:
@@ -350,7 +352,8 @@ def spherized(robot: Robot, beyond: float) -> tuple[str, float]:
     for name, parent, frame in (*fixed, *ends):
         _joined(root, _free(f"{name}_fixed", robot.joint_names), "fixed", parent, name, frame)
     count = sum(map(len, spheres.values()))
-    note = f"{count} spheres, which reach at most {1e3 * reach:.1f} mm beyond the collision model; the tip is {', '.join(map(repr, tools))}"
+    note = f"{count} spheres, which reach at most {1e3 * reach:.1f} mm beyond the collision model; the tip is "
+    note += ", ".join(f"'{tool}'" for tool in tools)
     root.insert(0, ElementTree.Comment(f" {note} "))
     root.insert(1, ElementTree.Comment(f" {LOST} "))
     ElementTree.indent(root)

@@ -242,8 +242,8 @@ class Parts:
 
 
 def load_toml(model: Table, tip: Tips, base: str | None, tool: np.ndarray | None, posture: Posture) -> Robot:
-    """A model file to a chain from link `base`, or from a base that moves, to link `tip`, where they are given; joints after the
-    tip are held."""
+    """A model file to a chain from link `base`, or from a base that moves, to link `tip`, where they are given; joints after
+    the tip are held."""
     path, parts = model.path, _parts(model, (model.path.resolve(),))
     joints, names = parts.joints, parts.names
     above, moves = dict(zip(names[1:], names, strict=False)), base if base in MOVING_BASES and base not in names else None

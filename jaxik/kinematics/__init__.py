@@ -4,18 +4,22 @@ from jaxik.kinematics.forward import bias_acceleration, forward_kinematics, jaco
 from jaxik.kinematics.joint_turns import turns
 from jaxik.kinematics.link_distance_table import PairTable
 from jaxik.kinematics.motion import Motion, smooth
+from jaxik.kinematics.relative import relative_jacobian, relative_pose
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.shapes import Box, ConvexPart, Surface, Unchecked, Volume
 from jaxik.kinematics.task import Task
+from jaxik.kinematics.tree import Mimic, Tree
 
 __all__ = [
     "Box",
     "ConvexPart",
+    "Mimic",
     "Motion",
     "PairTable",
     "Robot",
     "Surface",
     "Task",
+    "Tree",
     "Unchecked",
     "Volume",
     "bias_acceleration",
@@ -23,6 +27,8 @@ __all__ = [
     "jacobian",
     "link_frames",
     "manipulability",
+    "relative_jacobian",
+    "relative_pose",
     "smooth",
     "turns",
 ]

@@ -231,7 +231,8 @@ def _carried(omega: Vec3, alpha: Vec3, r: Vec3) -> Vec3:
 
 @kernel(models=1)
 def manipulability(robot: Robot, q: Float[Array, " n"]) -> Float[jax.Array, ""]:
-    """Yoshikawa's measure `sqrt(det(J J'))` of the only tip; 0 at a singularity, where its derivative is given as 0. [Yoshikawa 1985] Traced.
+    """Yoshikawa's measure `sqrt(det(J J'))` of the only tip; 0 at a singularity, where its derivative is given as 0. [Yoshikawa
+    1985] Traced.
 
     With fewer than six joints J J' is singular everywhere, and the measure is `sqrt(det(J' J))`. The units are those of the
     product of the Jacobian's singular values.

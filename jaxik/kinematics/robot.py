@@ -250,7 +250,9 @@ class Robot(Value, Constant):
         if len(self.tips) > 1:
             known = f"{self.name} has {len(self.tips)} tips"
             names = ", ".join(self.tip_names) or "no names"
-            raise ValueError(f"{who}: {known} ({names}); choose one: robot.with_tips({shown(next(iter(self.tip_names), ''))!r})")
+            raise ValueError(
+                f"{who}: {known} ({names}); choose one: robot.with_tips({shown(next(iter(self.tip_names), ''))!r})"
+            )
         return self.tips[0]
 
     @property
@@ -301,8 +303,8 @@ class Robot(Value, Constant):
         return dataclasses.replace(self, spheres_per_box=int(per_box))
 
     def part(self, first: int, last: int) -> Robot:
-        """Joints `first` to `last - 1` of a serial arm as a robot of their own, with what moves with them; its base is the parent
-        of the first.
+        """Joints `first` to `last - 1` of a serial arm as a robot of their own, with what moves with them; its base is the
+        parent of the first.
 
         Its tip is the last joint's frame, or the robot's own tip where it ends there. Raises `ValueError` for joints that the
         robot does not have, and for a robot that is no serial arm.
@@ -385,8 +387,8 @@ TENSOR = np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])  # where these are among th
 
 
 def need_serial(who: str, robot: Robot) -> None:
-    """Raises `ValueError` of `who` for a robot that is no serial arm: with branches, mimic joints, several tips, or a tip that is
-    not at its end."""
+    """Raises `ValueError` of `who` for a robot that is no serial arm: with branches, mimic joints, several tips, or a tip that
+    is not at its end."""
     check_kind(who, "robot", robot, Robot)
     if robot.tree.serial and robot.tips == (robot.num_joints,):
         return
@@ -404,7 +406,9 @@ def need_bodies(who: str, robot: Robot) -> None:
         mend = "write mass, com and inertia of its joints in its file, or give them by robot.with_parameters"
         raise ValueError(f"{who}: {robot.name} has no bodies; {mend}")
     if len(robot.bodies) != len(robot.row_names):
-        raise ValueError(f"{who}: {len(robot.bodies)} bodies; {robot.name} has {len(robot.row_names)} joints, write one for each")
+        raise ValueError(
+            f"{who}: {len(robot.bodies)} bodies; {robot.name} has {len(robot.row_names)} joints, write one for each"
+        )
     as_given(f"{who}: armature", robot.armature, (robot.num_joints,))
 
 

@@ -1,7 +1,7 @@
 """The structure of a robot: which body hangs on which, and which joint moves each.
 
-The bodies that move are rows, numbered from 0: row i < n moves with joint i, the rows after them follow a joint (mimic). Each has
-a row before it, or the base (-1). A serial arm is the tree whose row i hangs on row i - 1. [Featherstone 2008, sec. 4.1]
+The bodies that move are rows, numbered from 0: row i < n moves with joint i, the rows after them follow a joint (mimic). Each
+has a row before it, or the base (-1). A serial arm is the tree whose row i hangs on row i - 1. [Featherstone 2008, sec. 4.1]
 """
 
 from __future__ import annotations

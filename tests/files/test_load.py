@@ -223,7 +223,11 @@ def test_toml_refusals(tmp_path, old, new, words):
     [
         ('axis="0 0 1"', 'axis="0 0 0"', ("MuJoCo refuses",)),
         ('type="slide"', 'type="ball"', ("joint 'wrist'", "ball")),
-        ("</worldbody>", f'</worldbody><equality><joint joint1="wrist" joint2="shoulder" {BENT}/></equality>', ("'wrist'", "mimic")),
+        (
+            "</worldbody>",
+            f'</worldbody><equality><joint joint1="wrist" joint2="shoulder" {BENT}/></equality>',
+            ("'wrist'", "mimic"),
+        ),
         ('geom size=".1"', 'geom type="mesh" mesh="m"', ("MuJoCo refuses",)),
         ("<worldbody>", '<compiler texturedir="/etc"/><worldbody>', ("texturedir", "outside")),
         ("<worldbody>", '<asset><hfield name="m" file="../../m.png"/></asset><worldbody>', ("hfield", "outside")),
