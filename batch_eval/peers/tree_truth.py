@@ -36,30 +36,30 @@ class TreeTruth:
     they are `held`."""
 
     def __init__(self, path: Path, joint_names: Sequence[str], base: str | None = None, held: dict[str, float] | None = None):
-        if base is None:
-            model = pin.buildModelFromUrdf(str(path))
-        else:
-            root = pin.JointModelComposite()
-            for kind in BASES[base]:
-                root.addJoint(getattr(pin, f"JointModel{kind}")(), pin.SE3.Identity())
-            model = pin.buildModelFromUrdf(str(path), root)
+        model, moving = pin.buildModelFromUrdf(str(path)), []
+        if base is not None:  # joint by joint: of a composite joint Pinocchio's derivatives are wrong
+            stand, joint = pin.Model(), 0
+            moving = [f"base {kind}" for kind in BASES[base]]
+            for name, kind in zip(moving, BASES[base], strict=True):
+                joint = stand.addJoint(joint, getattr(pin, f"JointModel{kind}")(), pin.SE3.Identity(), name)
+                frame = stand.addJointFrame(joint)
+            model = pin.appendModel(stand, model, frame, pin.SE3.Identity())
         laws = {j.get("name"): j.find("mimic") for j in ElementTree.parse(path).getroot().findall("joint")}
         names, count = [*joint_names], len(BASES[base]) if base else 0
         own = names[count:]
         row = lambda law: (law.get("joint"), float(law.get("multiplier", 1.0)), float(law.get("offset", 0.0)))
-        mimics = {name: row(law) for name, law in laws.items() if law is not None}
+        mimics = {name: row(law) for name, law in laws.items() if law is not None and model.existJointName(name)}
         kept = {*own, *(name for name in mimics if self._leader(name, mimics) in own)}
         q = pin.neutral(model)
         for name, value in (held or {}).items():
             q[model.joints[model.getJointId(name)].idx_q] = value
-        away = [i for i in range(1, model.njoints) if model.names[i] not in kept and not (base and i == 1)]
+        away = [i for i in range(1, model.njoints) if model.names[i] not in kept and model.names[i] not in moving]
         self.model = pin.buildReducedModel(model, away, q)
         self.data = self.model.createData()
         self.model.gravity.linear = np.array([0.0, 0.0, -9.81])
         self.G, self.o = np.zeros((self.model.nv, len(names))), np.zeros(self.model.nv)
-        self.rows = []  # Pinocchio's bodies in the order of the robot's
-        for i in range(count):
-            self.G[i, i] = 1.0
+        for i, name in enumerate(moving):
+            self.G[self.model.joints[self.model.getJointId(name)].idx_v, i] = 1.0
         for name in [*own, *(n for n in mimics if n in kept and n not in own)]:
             factor, offset, leader = 1.0, 0.0, name
             while leader not in own:

@@ -70,7 +70,6 @@ def load_mjcf(
     start, run = names.index(ways.root), [names.index(name) for name in ways.below]
     aside, single = _aside(model, {start, *run}), isinstance(tip, str | None)
     joints = [pair for i in run for pair in _pairs(path, model, i, names)]
-    all_driven(joint for _, joint in joints)
     _note_forces(model, run, names, notes)
     pairs = held.settle(path, joints, [pair for i in aside for pair in _pairs(path, model, i, names, beside=True)], not single)
     kept = [start, *run, *aside]
@@ -91,6 +90,7 @@ def load_mjcf(
     if moves:
         pairs = [*moving_base(moves, first, (*names, *(_label(model, i) for i in range(model.njnt))), root_T), *pairs]
         first = pairs[0][0]
+    all_driven(joint for _, joint in pairs)
     tips = tips or [Tip(name, name, np.eye(4)) for name in ways.tips]
     tips = [each._replace(link_T_tip=each.link_T_tip if tool is None else each.link_T_tip @ tool) for each in tips]
     return assemble_tree(path, path.stem, first, pairs, links, tips[0] if single else tips)

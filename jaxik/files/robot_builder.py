@@ -217,7 +217,7 @@ def moving_base(kind: str, root: str, taken: Iterable[str], root_T: np.ndarray |
     (4, 4) where all of them are 0: "planar", x, y [m] and heading [rad]; or "floating", x, y, z and then yaw, pitch, roll, the
     turns about its own z, y and x axes in this order. None has a limit."""
     known = {*taken}
-    free = lambda name: next(n for n in (name, *(f"{name}_{i}" for i in itertools.count(1))) if n not in known)
+    free = lambda name: next(n for i in itertools.count() if (n := f"{name}_{i}" if i else name) not in known)
     parent, pairs = free("world"), []
     for what, type_, axis in MOVING_BASES[kind]:
         name = free(f"base_{what}")

@@ -21,7 +21,18 @@ from jaxik.collision.scene import LIMIT
 from jaxik.files.documents import locate, read_bytes
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import resolve
-from jaxik.files.robot_builder import JOINT_TYPES, MOVING_BASES, Joint, Link, Tip, assemble_tree, moving_base, symmetric, unique
+from jaxik.files.robot_builder import (
+    JOINT_TYPES,
+    MOVING_BASES,
+    Joint,
+    Link,
+    Tip,
+    all_driven,
+    assemble_tree,
+    moving_base,
+    symmetric,
+    unique,
+)
 from jaxik.files.tree_ways import Tips, ways_of
 from jaxik.kinematics.drive import Drive, Friction, Side
 from jaxik.kinematics.robot import Robot
@@ -256,6 +267,7 @@ def load_toml(model: Table, tip: Tips, base: str | None, tool: np.ndarray | None
     if moves:
         pairs = [*moving_base(moves, root, (*names, *(j.name for j in joints))), *pairs]
         root = pairs[0][0]
+        all_driven(joint for _, joint in pairs)
     tips = [Tip(name, name, np.eye(4) if tool is None else tool) for name in ways.tips]
     single, mount_here = isinstance(tip, str | None), parts.mount if first == 0 else None
     return assemble_tree(path, model.text("name"), root, pairs, parts.links, tips[0] if single else tips, mount_here)

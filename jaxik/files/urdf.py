@@ -55,13 +55,13 @@ def load_urdf(
     ways = ways_of(path, [*links], above, tip, None if moves else base, fingers=_fingers(joints) if tip is None else ())
     ways = _below_floating(joints, ways) if moves else ways
     run = [(above[link], _joint(path, joints[link][0], link, notes)) for link in ways.below]
-    all_driven(joint for _, joint in run)
     aside = [(above[link], _joint(path, joints[link][0], link, notes, beside=True)) for link in carried_links(above, ways)]
     single = isinstance(tip, str | None)
     pairs, first = held.settle(path, run, aside, not single), ways.root
     if moves:
         pairs = [*moving_base(moves, first, (*links, *(j.get("name", "") for j in elements["joint"]))), *pairs]
         first = pairs[0][0]
+    all_driven(joint for _, joint in pairs)
     names = (ways.root, *reversed(ways.below), *(joint.child for _, joint in aside))
     content = {name: _link(path, name, links[name], meshes) for name in names}
     seen = {tag: any(links[name].find(tag) is not None for name in content) for tag in ("visual", "collision")}
