@@ -452,8 +452,9 @@ def geometry_between(robot: Robot, links: tuple[int, int], joints: tuple[int, in
     rows = np.array([row for way in robot.tree.apart(*(robot.link_joint[link] for link in links)) for row in way], int)
     shapes = [(v.link == links[0], v.corners, v.radius) for v in robot.volumes if v.link in links]
     shapes += [(b.link == links[0], b.joint_T_box, b.half) for b in robot.boxes if b.link in links]
-    types = tuple(robot.joint_types[j] for j in rows)
-    words = types, [[*rows].index(j) for j in joints], len(shapes)
+    kinds = (*robot.joint_types, *(m.type for m in robot.mimics))
+    first = rows[0] if len(rows) else robot.link_joint[links[0]]
+    words = tuple(kinds[row] for row in rows), [int(j - first) for j in joints], len(shapes)
     return hashed(words, [robot.parent_T_joint[rows], robot.axis[rows], *(x for shape in shapes for x in shape)])
 
 

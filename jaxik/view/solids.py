@@ -100,10 +100,10 @@ def box_solids(robot: Robot) -> list[tuple[int, Solid]]:
 
 
 def frames(robot: Robot, q: Any) -> np.ndarray:
-    """The frames (n + 2, 4, 4) of the base, of each joint and of the tip in the world, at `q` (n,) [rad, m]."""
+    """The frames (m + 1 + k, 4, 4) of the base, of each joint and of the tips in the world, at `q` (n,) [rad, m]."""
     root = Frame.of(robot.world_T_base)
     found = joint_frames(robot, [float(x) for x in q], root)
-    return np.array([[float(x) for x in frame.entries] for frame in (root, *found.joints, found.tip)]).reshape(-1, 4, 4)
+    return np.array([[float(x) for x in frame.entries] for frame in (root, *found.joints, *found.tips)]).reshape(-1, 4, 4)
 
 
 def _placed(points: np.ndarray, frame: Any) -> np.ndarray:

@@ -74,7 +74,9 @@ def test_scalars_of_every_tree(name):
     close(mass, truth.mass_matrix(q))
     found = np.array(recursions._solved(rows, [*(a - torques([*v], [0.0] * len(q)))]), float)
     np.testing.assert_allclose(mass @ found + torques([*v], [0.0] * len(q)), a, atol=1e-8)
-    close(found, truth.forward_dynamics(q, v, a), 1e-9)  # M of a humanoid's fingers is worse conditioned than its inverse is told
+    close(
+        found, truth.forward_dynamics(q, v, a), 1e-9
+    )  # M of a humanoid's fingers is worse conditioned than its inverse is told
 
 
 PUBLIC = {
