@@ -38,7 +38,7 @@ def attach(robot: Robot, scene: Scene, name: str, q: Float[Array, " n"], *, touc
     checked against the scene and against the robot's other links, but for those that move with the tip, too, and those
     that it `touches` (MoveIt's touch_links). It has no mass.
 
-    Of a robot with several tips `robot.with_tips(name)` chooses the one that grasps. Raises `ValueError` for an object that is
+    With several tips `robot.with_tips(name)` chooses the one that grasps. Raises `ValueError` for an object that is
     not there, has no obstacle or the name of a link, for links that the robot does not have, for a q of another shape, and for
     what is traced.
     """

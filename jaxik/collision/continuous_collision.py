@@ -352,7 +352,7 @@ class _Bounds(NamedTuple):
 
 
 def _bounds(robot: Robot, link: int, way: tuple[int, ...], turned: list[Any], travel: list[Any]) -> _Bounds:
-    """Of a link that the joints on a `way` move. `turned`: |dq_j|, `travel`: how far a slide is ever out, 0 of what turns."""
+    """The bounds of a link that the joints on a `way` move. `turned`: |dq_j|, `travel`: how far a slide is ever out, 0 of what turns."""
     corners = _corners(robot, link)
     xp = xp_of(corners, robot.axis, robot.parent_T_joint)
     length = lambda rows: xp.max(xp.sqrt(xp.sum(xp.square(rows), axis=-1)))

@@ -385,7 +385,7 @@ def _inertial(element: ElementTree.Element, body: Body) -> None:
 
 
 def _following(robot: Robot, mimic: Mimic, joint: ElementTree.Element) -> None:
-    """What a URDF says of a joint that follows another; its limits are those that the other's leave it."""
+    """Writes that a joint follows another, as a URDF does; its limits are those that the other's leave it."""
     ends = sorted(mimic.value(x) for x in (robot.lower[mimic.joint], robot.upper[mimic.joint]))
     if mimic.type != "continuous":
         limit = {"lower": ends[0], "upper": ends[1], "effort": 0.0, "velocity": robot.velocity[mimic.joint]}

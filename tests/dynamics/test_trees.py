@@ -149,7 +149,7 @@ def test_a_wrench_pulls_at_its_branch_alone():
 
 def test_loads_and_rotors_of_a_tree():
     robot, truth = loaded("biped")
-    q, v, a = state(robot, 5)
+    q, _, _ = state(robot, 5)
     with pytest.raises(ValueError, match=r"^with_load: bolt has 2 tips .*with_tips"):
         robot.with_load(1.0)
     loaded_foot = robot.with_tips("FR_FOOT").with_load(2.0)
