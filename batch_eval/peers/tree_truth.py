@@ -114,7 +114,7 @@ class TreeTruth:
         return np.linalg.solve(self.mass_matrix(q), torque - self.inverse_dynamics(q, v, 0.0 * v))
 
     def derivatives(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Those of inverse dynamics by q, qdot and qddot (3, n, n)."""
+        """The derivatives of inverse dynamics by q, qdot and qddot (3, n, n)."""
         parts = pin.computeRNEADerivatives(self.model, self.data, self.q(q), self.G @ v, self.G @ a)
         full = [*parts[:2], np.triu(parts[2]) + np.triu(parts[2], 1).T]
         return np.stack([self.G.T @ part @ self.G for part in full])

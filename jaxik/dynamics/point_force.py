@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, as_numbers, is_known, numbers
 from jaxik.checks.options import check_kind, shown
-from jaxik.kinematics.forward import JointFrames, joint_frames, joint_sums
+from jaxik.kinematics.forward import JointFrames, joint_frames, joint_sums, moved_by
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.spatial.algebra import BASE, Vec3, add, mul, stack, traced
 from jaxik.spmd import kernel
@@ -122,19 +122,11 @@ def _columns(robot: Robot, frames: JointFrames, joint: Any, at: Vec3) -> list[Ve
     rows = []
     for i, (prismatic, frame, axis) in enumerate(zip(robot.tree.slides, frames.joints, frames.axes, strict=True)):
         column = axis if prismatic else axis.cross(at - frame.translation)
-        share = jnp.where(_moved_by(robot, joint, i), 1.0, 0.0).astype(jnp.result_type(at.x))
+        share = jnp.where(moved_by(robot, joint, i), 1.0, 0.0).astype(jnp.result_type(at.x))
         rows.append(Vec3(*(mul(share, x) for x in column)))
     return [
         Vec3(*column) for column in zip(*(joint_sums(robot, component) for component in zip(*rows, strict=True)), strict=True)
     ]
-
-
-def _moved_by(robot: Robot, joint: Any, row: int) -> Any:
-    """Whether row number `joint`, which may be traced, moves with a row."""
-    if robot.tree.serial:
-        return joint > row
-    moved = np.array([row in robot.tree.way(number) for number in range(len(robot.row_names) + 1)])
-    return jnp.asarray(moved)[joint]
 
 
 def _placed(who: str, robot: Robot, q: Any, joint: Any, point: Any) -> tuple[JointFrames, Any, Vec3, Any]:

@@ -95,6 +95,14 @@ def joint_sums(robot: Robot, rows: Sequence[Scalar]) -> list[Scalar]:
     return felt
 
 
+def moved_by(robot: Robot, number: Any, row: int) -> Any:
+    """Whether what moves with row `number`, counted from 1, which may be traced, is moved by a row, counted from 0."""
+    if robot.tree.serial:
+        return number > row
+    moved = np.array([row in robot.tree.way(each) for each in range(len(robot.row_names) + 1)])
+    return jnp.asarray(moved)[jnp.asarray(number).astype(jnp.int32)]
+
+
 def _number(value: Any) -> Scalar:
     return constants(value)[0]
 
