@@ -352,7 +352,8 @@ class _Bounds(NamedTuple):
 
 
 def _bounds(robot: Robot, link: int, way: tuple[int, ...], turned: list[Any], travel: list[Any]) -> _Bounds:
-    """The bounds of a link that the joints on a `way` move. `turned`: |dq_j|, `travel`: how far a slide is ever out, 0 of what turns."""
+    """The bounds of a link that the joints on a `way` move. `turned`: |dq_j|, `travel`: how far a slide is ever out, 0 of what
+    turns."""
     corners = _corners(robot, link)
     xp = xp_of(corners, robot.axis, robot.parent_T_joint)
     length = lambda rows: xp.max(xp.sqrt(xp.sum(xp.square(rows), axis=-1)))
@@ -385,7 +386,9 @@ def _row_bounds(robot: Robot, rows: list[_Row], start: Any, goal: Any) -> _Bound
         further = [jnp.maximum(jnp.abs(a), jnp.abs(b)) for a, b in zip(*ends, strict=True)]
         travel += [x if slides else 0.0 for x, slides in zip(further, ways[robot.num_joints :], strict=True)]
         turned = [jnp.abs(x) for x in row_rates(robot, turned)]
-    bounds = lambda movers: functools.reduce(_Bounds.beside, [_bounds(robot, *each, turned, travel) for each in movers])
+    bounds = lambda movers: functools.reduce(
+        _Bounds.beside, [_bounds(robot, link, way, turned, travel) for link, way in movers]
+    )
     found = [[bounds(movers) for movers in row.moved] for row in rows]
     return _Bounds(*(_most([[b[i] for b in each] for each in found], start.dtype) for i in range(3)))
 

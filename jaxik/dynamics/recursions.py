@@ -319,8 +319,8 @@ def regressor(
     q = as_configuration(robot, q)
     n, dtype, tree, factors = q.size, q.dtype, robot.tree, row_factors(robot)
     joints = placed(robot, traced(q), dtype)
-    given = (row_rates(robot, _rates(name, robot, rate, dtype)) for name, rate in (("qdot", qdot), ("qddot", qddot)))
-    moved = motions(tree, joints, *given, _base_gravity(robot, gravity, dtype))
+    rates, more = (row_rates(robot, _rates(name, robot, x, dtype)) for name, x in (("qdot", qdot), ("qddot", qddot)))
+    moved = motions(tree, joints, rates, more, _base_gravity(robot, gravity, dtype))
     rows: list[list[Scalar]] = [[0.0] * (INERTIAL * len(joints)) for _ in range(n)]
     units: dict[int, list[tuple[Vec3, Vec3]]] = {BASE_ROW: []}  # the motion of a frame by one unit of each joint before
     for j in tree.order:

@@ -20,7 +20,8 @@ from jaxik.files.mjcf import load_mjcf
 from jaxik.files.robot_builder import Notes
 from jaxik.files.robot_files import read_robot
 from jaxik.files.robot_toml import load_toml, read_toml
-from jaxik.files.tree_ways import Tips, as_tips
+from jaxik.files.srdf import read_srdf
+from jaxik.files.tree_ways import AskedTips, Tips
 from jaxik.files.unchecked_pairs import asked_pairs, disabled_pairs, ignored
 from jaxik.files.urdf import load_urdf
 from jaxik.fitting.capsules import FitOptions
@@ -64,8 +65,10 @@ class LoadOptions(Options, who="load"):
     )
     srdf: Any = anything(
         default=None,
-        words="a file whose `disable_collisions` pairs are not checked, nor those of its `disable_default_collisions` links "
-        "but for its `enable_collisions`. (What an MJCF's `exclude`, contype and conaffinity keep apart is not, either.)",
+        words="a file whose groups of joints, group states and end effectors have names in the robot (`robot.group`, "
+        "`robot.state`, `tip=`), and whose `disable_collisions` pairs are not checked, nor those of its "
+        "`disable_default_collisions` links but for its `enable_collisions`. (What an MJCF's `exclude`, contype and "
+        "conaffinity keep apart is not, either.)",
     )
     ignore: Any = anything(
         default=(),
@@ -188,7 +191,8 @@ class _Read:
     def of(path: str | Path, tip: Tips, base: str | None, asked: LoadOptions, fitted: bool) -> _Read:
         """Reads a file; meshes are shapes if they are `fitted`, else boxes."""
         path, notes, stance = locate(path), Notes(), Posture(dict(asked.posture or {}), dict(asked.held or {}))
-        tip = as_tips(tip)
+        semantics = read_srdf(asked.srdf)
+        tips = AskedTips.of(tip, semantics.tips)
         tool = None if asked.tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", asked.tool), np.float64)
         meshes = Meshes(asked.meshes, asked.meshes and fitted, as_packages("load", asked.packages))
         kind, readers = path.suffix.lower(), {".urdf": load_urdf, ".xml": load_mjcf, ".mjcf": load_mjcf}
@@ -199,12 +203,15 @@ class _Read:
                 robot = _saved(path, read_robot(model), tip, base, tool, stance)
                 saved = robot.self_pairs
             else:
-                robot = load_toml(model, tip, base, tool, stance)
+                robot = load_toml(model, tips, base, tool, stance)
         elif kind in readers:
-            robot = readers[kind](path, tip, base, tool, meshes, stance, notes)
+            robot = readers[kind](path, tips, base, tool, meshes, stance, notes)
         else:
             expand = f"; expand a xacro: xacro {path.name} > {path.name.partition('.')[0]}.urdf" if kind == ".xacro" else ""
             raise LoadError(path, "file", f"ending '{kind}'", f"allowed: .urdf, .xml (MJCF), .toml{expand}")
+        if semantics.path is not None:
+            groups, states = semantics.of(robot, notes.above)
+            robot = dataclasses.replace(robot, groups=groups, states=states)
         return _Read(path, robot, [] if saved is not None else meshes.shapes(robot), saved, notes, stance)
 
     def pairs(self, asked: LoadOptions) -> tuple[Any, Any]:

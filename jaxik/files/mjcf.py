@@ -37,7 +37,7 @@ from jaxik.files.robot_builder import (
     moving_base,
     rubbing,
 )
-from jaxik.files.tree_ways import Tips, Ways, ways_of
+from jaxik.files.tree_ways import AskedTips, Ways, ways_of
 from jaxik.fitting.links import Shape
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
@@ -53,7 +53,7 @@ FREE = 0  # of MuJoCo's joint types
 
 
 def load_mjcf(
-    path: Path, tip: Tips, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture, notes: Notes
+    path: Path, tip: AskedTips, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture, notes: Notes
 ) -> Robot:
     """The tree from body `base` (the world) to bodies or sites `tip` (the only leaf), and what it carries, `held` in a posture;
     bodies that fly freely are no part of it, but for the one that a base moves."""
@@ -63,15 +63,16 @@ def load_mjcf(
     above = {names[i]: names[model.body_parentid[i]] for i in range(1, model.nbody)}
     moves = base if base in MOVING_BASES and base not in names else None
     tips = _tips(path, model, names, tip)
-    links_of = tip if tip is None else [*dict.fromkeys(each.link for each in tips)]
-    ways = ways_of(path, names, above, links_of, None if moves else base, "body", _fingers(model, names) if tip is None else ())
+    bodies = None if tip.names is None else tuple(dict.fromkeys(each.link for each in tips))
+    fingers = _fingers(model, names) if bodies is None else ()
+    ways = ways_of(path, names, above, AskedTips(bodies), None if moves else base, "body", fingers)
     if moves:
         ways, root_T = _below_world(path, model, names, ways, moves)
     start, run = names.index(ways.root), [names.index(name) for name in ways.below]
-    aside, single = _aside(model, {start, *run}), isinstance(tip, str | None)
+    aside = _aside(model, {start, *run})
     joints = [pair for i in run for pair in _pairs(path, model, i, names)]
     _note_forces(model, run, names, notes)
-    pairs = held.settle(path, joints, [pair for i in aside for pair in _pairs(path, model, i, names, beside=True)], not single)
+    pairs = held.settle(path, joints, [pair for i in aside for pair in _pairs(path, model, i, names, beside=True)], tip.several)
     kept = [start, *run, *aside]
     moved = _moved(names, kept, pairs)
     check_loops(path, model, names, moved, notes)
@@ -91,9 +92,10 @@ def load_mjcf(
         pairs = [*moving_base(moves, first, (*names, *(_label(model, i) for i in range(model.njnt))), root_T), *pairs]
         first = pairs[0][0]
     all_driven(joint for _, joint in pairs)
+    notes.above = {joint.child: (joint.name, parent) for parent, joint in pairs}
     tips = tips or [Tip(name, name, np.eye(4)) for name in ways.tips]
     tips = [each._replace(link_T_tip=each.link_T_tip if tool is None else each.link_T_tip @ tool) for each in tips]
-    return assemble_tree(path, path.stem, first, pairs, links, tips[0] if single else tips)
+    return assemble_tree(path, path.stem, first, pairs, links, tips if tip.several else tips[0])
 
 
 def _note_forces(model: Any, run: list[int], names: list[str], notes: Notes) -> None:
@@ -167,16 +169,17 @@ def _pairs(path: Path, model: Any, body: int, names: list[str], beside: bool = F
     return [*zip((names[int(model.body_parentid[body])], *(j.child for j in run)), run, strict=False)]
 
 
-def _tips(path: Path, model: Any, names: list[str], asked: Tips) -> list[Tip]:
+def _tips(path: Path, model: Any, names: list[str], asked: AskedTips) -> list[Tip]:
     """The bodies, and the sites on them, that are asked for; none where nobody asks."""
     sites = {model.site(i).name: model.site(i) for i in range(model.nsite)}
     tips = []
-    for name in [] if asked is None else [asked] if isinstance(asked, str) else asked:
+    for own in asked.names or ():
+        name = asked.link(own, (*names, *sites))
         if name not in (*names, *sites):
             raise LoadError(path, f"tip '{shown(name)}'", "no such body or site", among(name, names, "bodies"))
         site = None if name in names else sites[name]
         place = np.eye(4) if site is None else frame(site.pos, from_wxyz(site.quat))
-        tips.append(Tip(name, name if site is None else names[site.bodyid[0]], place))
+        tips.append(Tip(own, name if site is None else names[site.bodyid[0]], place))
     return tips
 
 

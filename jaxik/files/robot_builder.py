@@ -30,12 +30,13 @@ JOINT_TYPES = (*get_args(JointType), "fixed")
 
 @dataclasses.dataclass
 class Notes:
-    """Lines to tell (`told`: what is so, of which joints or links), pairs of links that the file does not check (`apart`), and
-    all links that it has, those that are no part of the chain, too."""
+    """Lines to tell (`told`: what is so, of which joints or links), pairs of links that the file does not check (`apart`), all
+    links that it has, those that are no part of the robot, too; and of each link the joint and the link `above` it."""
 
     told: dict[str, list[str]] = dataclasses.field(default_factory=dict)
     apart: set[frozenset[str]] = dataclasses.field(default_factory=set)
     links: tuple[str, ...] = ()
+    above: dict[str, tuple[str, str]] = dataclasses.field(default_factory=dict)
 
     def add(self, told: str, *names: str) -> None:
         """Adds that something is so of more names."""
@@ -196,11 +197,16 @@ def _mimic(joint: Joint, free: Sequence[Joint]) -> Mimic:
         rubs = dataclasses.replace(
             before.friction,
             coulomb=before.friction.coulomb + abs(factor) * own.coulomb,
-            breakaway=before.friction.breakaway + abs(factor) * own.breakaway,
+            breakaway=_known(before.friction.breakaway) + abs(factor) * _known(own.breakaway),
             viscous=before.friction.viscous + factor**2 * own.viscous,
         )
         leader.drive = dataclasses.replace(before, rotor_inertia=leader.armature, friction=rubs)
     return Mimic(joint.name, joint.type, number, np.asarray(factor), np.asarray(offset))  # type: ignore[arg-type]
+
+
+def _known(value: Any) -> float:
+    """A number of a drive that a file gives."""
+    return float(value)
 
 
 MOVING_BASES = {

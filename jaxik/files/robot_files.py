@@ -21,6 +21,7 @@ from jaxik.files.robot_toml import CORNERS, Table, read_drive, toml
 from jaxik.files.unchecked_pairs import check_ours, write_disabled
 from jaxik.kinematics.drive import Drive
 from jaxik.kinematics.link_distance_table import PairTable, packed, unpacked
+from jaxik.kinematics.named import Group, State
 from jaxik.kinematics.robot import Body, Robot
 from jaxik.kinematics.shapes import Box, ConvexPart, Surface, Unchecked, UncheckedReason, Volume
 from jaxik.kinematics.tree import JointType, Mimic
@@ -79,10 +80,12 @@ def _toml(robot: Robot) -> str:
     hung = [{"parent": robot.row_names[p] if p >= 0 else ""} for p in robot.parents] or [{} for _ in robot.row_names]
     rows = zip(hung, bodies, drives, strict=False)  # what follows a joint has no drive
     tables = [("joint", row(JOINT, i) | parent | body | drive) for i, (parent, body, drive) in enumerate(rows)]
-    for i, each in enumerate(robot.mimics, robot.num_joints):
-        follows = {"name": each.name, "type": each.type, "joint": joints[each.joint], "factor": each.factor}
-        placed = {"offset": each.offset, "frame": robot.parent_T_joint[i], "axis": robot.axis[i]}
+    for i, mimic in enumerate(robot.mimics, robot.num_joints):
+        follows = {"name": mimic.name, "type": mimic.type, "joint": joints[mimic.joint], "factor": mimic.factor}
+        placed = {"offset": mimic.offset, "frame": robot.parent_T_joint[i], "axis": robot.axis[i]}
         tables.append(("mimic", follows | placed | (hung[i] or {"parent": robot.row_names[i - 1]}) | bodies[i]))
+    tables += [("group", {"name": each.name, "joints": list(each.joints)}) for each in robot.groups]
+    tables += [("state", {"name": s.name, "group": s.group, "values": dict(s.values)}) for s in robot.states]
     if not single:
         each_tip = zip(
             robot.tip_names or [f"tip_{i}" for i in range(len(robot.tips))], robot.tips, robot.tip_frames, strict=True
@@ -146,6 +149,8 @@ def read_robot(model: Table) -> Robot:
         "unchecked": tuple(_unchecked(table, names) for table in model.tables("unchecked")),
         "surfaces": tuple(_surface(table, names) for table in model.tables("surface")),
         "convex_parts": tuple(_part(table, names) for table in model.tables("part")),
+        "groups": tuple(_group(table, robot.joint_names) for table in model.tables("group")),
+        "states": tuple(_state(table, robot.joint_names) for table in model.tables("state")),
         "ignored": tuple(_beside(model, entry, names) for entry in model.listed("ignored_objects")),
     }
     model.close()
@@ -283,6 +288,19 @@ def _mimic(table: Table, joints: Sequence[str]) -> dict[str, Any]:
     return row | {"mimic": Mimic(name, kind, leader, *numbers)}  # type: ignore[arg-type]
 
 
+def _group(table: Table, joints: Sequence[str]) -> Group:
+    name, own = table.named(), table.listed("joints")
+    if not all(joint in joints for joint in own):
+        raise table.fail(f"joints = {shown(own)}", f"a list of some of: {listed(joints)}")
+    return Group(name, tuple(own))
+
+
+def _state(table: Table, joints: Sequence[str]) -> State:
+    name, group, values = table.named(), table.text("group"), table.table("values")
+    values.only(joints)
+    return State(name, group, tuple((joint, values.number(joint, "plain")) for joint in values.content))
+
+
 def _link(table: Table, joints: int) -> dict[str, Any]:
     name, joint = table.named(), table.number("joint", "plain")
     if joint not in range(joints + 1):
@@ -348,8 +366,8 @@ def spherized(robot: Robot, beyond: float) -> tuple[str, float]:
             ElementTree.SubElement(joint, "dynamics", _friction(robot.drives[i]))
     placed = zip(robot.link_names, robot.link_joint, robot.link_offset, strict=True)
     fixed = [(name, names[joint], offset) for name, joint, offset in placed if name not in names]
-    ends = [(tool, names[number], frame) for tool, number, frame in zip(tools, robot.tips, robot.tip_frames, strict=True)]
-    for name, parent, frame in (*fixed, *ends):
+    stand = [(tool, names[number], frame) for tool, number, frame in zip(tools, robot.tips, robot.tip_frames, strict=True)]
+    for name, parent, frame in (*fixed, *stand):
         _joined(root, _free(f"{name}_fixed", robot.joint_names), "fixed", parent, name, frame)
     count = sum(map(len, spheres.values()))
     note = f"{count} spheres, which reach at most {1e3 * reach:.1f} mm beyond the collision model; the tip is "

@@ -33,7 +33,7 @@ from jaxik.files.robot_builder import (
     symmetric,
     unique,
 )
-from jaxik.files.tree_ways import Tips, ways_of
+from jaxik.files.tree_ways import AskedTips, ways_of
 from jaxik.kinematics.drive import Drive, Friction, Side
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
@@ -252,15 +252,16 @@ class Parts:
         return ["base", *(joint.child for joint in self.joints)]
 
 
-def load_toml(model: Table, tip: Tips, base: str | None, tool: np.ndarray | None, posture: Posture) -> Robot:
+def load_toml(model: Table, tip: AskedTips, base: str | None, tool: np.ndarray | None, posture: Posture) -> Robot:
     """A model file to a chain from link `base`, or from a base that moves, to link `tip`, where they are given; joints after
     the tip are held."""
     path, parts = model.path, _parts(model, (model.path.resolve(),))
     joints, names = parts.joints, parts.names
     above, moves = dict(zip(names[1:], names, strict=False)), base if base in MOVING_BASES and base not in names else None
-    ways = ways_of(path, names, above, names[-1] if tip is None else tip, "base" if moves else base or "base")
+    asked = AskedTips((names[-1],)) if tip.names is None else tip
+    ways = ways_of(path, names, above, asked, "base" if moves else base or "base")
     first, last = names.index(ways.root), max(map(names.index, ways.tips))
-    if tip is None:
+    if tip.names is None:
         tool = parts.tool if tool is None else parts.tool @ tool
     pairs = [*zip(names, joints, strict=False)]
     pairs, root = posture.settle(path, pairs[first:last], pairs[last:], False), names[first]
@@ -268,9 +269,10 @@ def load_toml(model: Table, tip: Tips, base: str | None, tool: np.ndarray | None
         pairs = [*moving_base(moves, root, (*names, *(j.name for j in joints))), *pairs]
         root = pairs[0][0]
         all_driven(joint for _, joint in pairs)
-    tips = [Tip(name, name, np.eye(4) if tool is None else tool) for name in ways.tips]
-    single, mount_here = isinstance(tip, str | None), parts.mount if first == 0 else None
-    return assemble_tree(path, model.text("name"), root, pairs, parts.links, tips[0] if single else tips, mount_here)
+    named = zip(asked.names or (), ways.tips, strict=True)
+    tips = [Tip(name, link, np.eye(4) if tool is None else tool) for name, link in named]
+    mount_here = parts.mount if first == 0 else None
+    return assemble_tree(path, model.text("name"), root, pairs, parts.links, tips if tip.several else tips[0], mount_here)
 
 
 def _parts(model: Table, files: tuple[Path, ...]) -> Parts:

@@ -15,7 +15,7 @@ from jaxik.files.robot_builder import listed
 from jaxik.reasons import LoadError
 
 LEAVES = 40  # that a line names
-Tips = str | Sequence[str] | None
+Tips = str | Sequence[str] | None  # as a caller gives them
 
 
 class Ways(NamedTuple):
@@ -26,33 +26,46 @@ class Ways(NamedTuple):
     tips: tuple[str, ...]
 
 
-def as_tips(given: Any) -> Tips:
-    """The tips that a caller asks for. Raises `ValueError` for what names none."""
-    if given is None or isinstance(given, str):
-        return given
-    names = list(given) if isinstance(given, Iterable) else [None]
-    if not all(isinstance(name, str) for name in names):
-        raise ValueError(f'load: tip is {shown(given)}; write "link", or a list of links: ["left_hand", "right_hand"]')
-    return names
+class AskedTips(NamedTuple):
+    """The tips that a caller asks for: their `names`, None for the only leaf; whether they are a list (`several`); and the
+    links that other names stand for (`known_as`), of end effectors and groups."""
+
+    names: tuple[str, ...] | None = None
+    several: bool = False
+    known_as: Mapping[str, str] = {}
+
+    @staticmethod
+    def of(given: Any, known_as: Mapping[str, str] = {}) -> AskedTips:
+        """Raises `ValueError` for what names no links."""
+        if given is None:
+            return AskedTips()
+        names = (given,) if isinstance(given, str) else tuple(given) if isinstance(given, Iterable) else (None,)
+        if not all(isinstance(name, str) for name in names):
+            raise ValueError(f'load: tip is {shown(given)}; write "link", or a list of links: ["left_hand", "right_hand"]')
+        return AskedTips(names, not isinstance(given, str), known_as)
+
+    def link(self, name: str, links: Collection[str]) -> str:
+        """The link of a tip, which its own name says where a link has it."""
+        return name if name in links else self.known_as.get(name, name)
 
 
 def ways_of(
     file: Path,
     names: Sequence[str],
     above: Mapping[str, str],
-    tip: Tips,
+    asked: AskedTips,
     base: str | None,
     one: str = "link",
     fingers: Collection[str] = (),
 ) -> Ways:
-    """The ways to `tip`, one or a list, from `base` (the root), of a tree that says what is `above` each link. `fingers` are
-    links that are no tips unless they are named.
+    """The ways to the tips that are `asked` for from `base` (the root), of a tree that says what is `above` each link.
+    `fingers` are links that are no tips unless they are named.
 
     Refuse names that are none, tips without a common root, a loop, and several leaves where no tip is named.
     """
-    if tip is None:
-        tip = _only_leaf(file, names, above, one, fingers)
-    tips = (tip,) if isinstance(tip, str) else tuple(tip)
+    if asked.names is None:
+        asked = AskedTips((_only_leaf(file, names, above, one, fingers),))
+    tips = tuple(asked.link(name, names) for name in asked.names or ())
     if not tips:
         raise LoadError(file, "tip", "is an empty list", f"name a {one}, or some")
     for name in tips:

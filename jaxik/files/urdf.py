@@ -27,7 +27,7 @@ from jaxik.files.robot_builder import (
     unique,
 )
 from jaxik.files.robot_toml import TURNS
-from jaxik.files.tree_ways import Tips, Ways, carried_links, ways_of
+from jaxik.files.tree_ways import AskedTips, Ways, carried_links, ways_of
 from jaxik.fitting.links import Shape
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
@@ -37,7 +37,7 @@ DEGREES = 1080.0  # a limit beyond them is meant to be none
 
 
 def load_urdf(
-    path: Path, tip: Tips, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture, notes: Notes
+    path: Path, tip: AskedTips, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture, notes: Notes
 ) -> Robot:
     """The tree from link `base` (the root, on a base that moves, too) to the links `tip` (the only leaf), and what it carries,
     `held` in a posture."""
@@ -52,12 +52,11 @@ def load_urdf(
     joints, notes.links = _parents(path, elements["joint"], links), tuple(links)
     above = {child: parent for child, (_, parent) in joints.items()}
     moves = base if base in MOVING_BASES and base not in links else None
-    ways = ways_of(path, [*links], above, tip, None if moves else base, fingers=_fingers(joints) if tip is None else ())
+    ways = ways_of(path, [*links], above, tip, None if moves else base, fingers=_fingers(joints) if tip.names is None else ())
     ways = _below_floating(joints, ways) if moves else ways
     run = [(above[link], _joint(path, joints[link][0], link, notes)) for link in ways.below]
     aside = [(above[link], _joint(path, joints[link][0], link, notes, beside=True)) for link in carried_links(above, ways)]
-    single = isinstance(tip, str | None)
-    pairs, first = held.settle(path, run, aside, not single), ways.root
+    pairs, first = held.settle(path, run, aside, tip.several), ways.root
     if moves:
         pairs = [*moving_base(moves, first, (*links, *(j.get("name", "") for j in elements["joint"]))), *pairs]
         first = pairs[0][0]
@@ -67,8 +66,10 @@ def load_urdf(
     seen = {tag: any(links[name].find(tag) is not None for name in content) for tag in ("visual", "collision")}
     if meshes.read and seen["visual"] and not seen["collision"]:
         notes.add("none of its links has a <collision>, and a <visual> is not read: copy it where it is to be collided with")
-    tips = [Tip(name, name, np.eye(4) if tool is None else tool) for name in ways.tips]
-    return assemble_tree(path, root.get("name", path.stem), first, pairs, content, tips[0] if single else tips)
+    named = zip(tip.names or ways.tips, ways.tips, strict=True)
+    tips = [Tip(name, link, np.eye(4) if tool is None else tool) for name, link in named]
+    notes.above = {child: (str(element.get("name")), parent) for child, (element, parent) in joints.items()}
+    return assemble_tree(path, root.get("name", path.stem), first, pairs, content, tips if tip.several else tips[0])
 
 
 Joints = dict[str, tuple[Element, str]]  # of each link the joint that leads to it, and the link before

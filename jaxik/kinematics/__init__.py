@@ -4,6 +4,7 @@ from jaxik.kinematics.forward import bias_acceleration, forward_kinematics, jaco
 from jaxik.kinematics.joint_turns import turns
 from jaxik.kinematics.link_distance_table import PairTable
 from jaxik.kinematics.motion import Motion, smooth
+from jaxik.kinematics.named import Group, State
 from jaxik.kinematics.relative import relative_jacobian, relative_pose
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.shapes import Box, ConvexPart, Surface, Unchecked, Volume
@@ -13,10 +14,12 @@ from jaxik.kinematics.tree import Mimic, Tree
 __all__ = [
     "Box",
     "ConvexPart",
+    "Group",
     "Mimic",
     "Motion",
     "PairTable",
     "Robot",
+    "State",
     "Surface",
     "Task",
     "Tree",

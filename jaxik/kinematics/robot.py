@@ -23,6 +23,7 @@ from jaxik.checks.arrays import Array, as_given, as_numbers, check_mass, is_know
 from jaxik.checks.options import check_kind, no_such, shown
 from jaxik.kinematics.drive import Drive, column
 from jaxik.kinematics.link_distance_table import PairTable
+from jaxik.kinematics.named import Group, State
 from jaxik.kinematics.shapes import Box, ConvexPart, Surface, Unchecked, Value, Volume, hashed
 from jaxik.kinematics.tree import JointType, Mimic, Tree, check_structure, tree_of
 from jaxik.pytree import Constant, static
@@ -67,6 +68,7 @@ class Robot(Value, Constant):
     rows after those of the n in `parent_T_joint`, `axis`, `bodies` and `parents` (m,), m >= n. `link_joint[l]` is the number of
     the row that moves link l, counted from 1, 0 of the base: its frame is `link_offset[l]` in that row's. `joint_T_tip` (4, 4)
     is the tip in the frame of the last joint; or (k, 4, 4), of k tips, which hang on `tip_joints` (numbers as `link_joint`).
+    `groups` and `states` are names of some joints, and of values of them, as an SRDF gives.
     `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check,
     `pair_tables` bounds of pairs beside their volumes, `unchecked` the pairs that are left out, and why. `convex_parts` of
     fitted meshes decide near a contact, or the links' own `surfaces` (`load(.., exact=True)`). `armature` is the inertia of
@@ -109,6 +111,8 @@ class Robot(Value, Constant):
     mimics: tuple[Mimic, ...] = ()
     tip_joints: tuple[int, ...] = static(default=())
     tip_names: tuple[str, ...] = static(default=())
+    groups: tuple[Group, ...] = static(default=())
+    states: tuple[State, ...] = static(default=())
 
     def __post_init__(self) -> None:
         self._settle_structure()
@@ -169,6 +173,34 @@ class Robot(Value, Constant):
         """Whether `q` (n,) [rad, m] lies inside the joint limits, bounds included. Traced."""
         q = as_configuration(self, q)
         return jnp.all((q >= jnp.asarray(self.lower, q.dtype)) & (q <= jnp.asarray(self.upper, q.dtype)))
+
+    def group(self, name: str) -> np.ndarray:
+        """Returns which of q (n,) belong to a group of joints, by its name in `groups`: their numbers (k,).
+
+        Raises `ValueError` for a name that is none.
+        """
+        found = {group.name: group.joints for group in self.groups}
+        if name not in found:
+            raise ValueError(no_such(f"group: {self.name}", "group", str(name), tuple(found)))
+        return np.array([self.joint_names.index(joint) for joint in found[name]], int)
+
+    def state(self, name: str, q: Any = None, *, group: str | None = None) -> Float[np.ndarray, " n"]:
+        """Returns a configuration (n,) [rad, m] with the joints of a named state as it says, of all groups that have one of
+        this name or of one `group`; the others as in `q` (n,), or at 0 or the limit that is nearest.
+
+        Raises `ValueError` for a name that is none, and where two groups say different values of one joint.
+        """
+        own = [state for state in self.states if state.name == name and group in (None, state.group)]
+        if not own:
+            raise ValueError(no_such(f"state: {self.name}", "state", str(name), tuple({s.name: 0 for s in self.states})))
+        rest = np.clip(0.0, self.lower, self.upper) if q is None else as_configuration(self, q)
+        found, said = np.array(rest, np.float64), dict[str, float]()
+        for joint, value in (pair for state in own for pair in state.values):
+            if said.setdefault(joint, value) != value:
+                of = " and ".join(state.group for state in own)
+                raise ValueError(f"state: '{shown(name)}' of {of} says two values of {joint}; choose one by group=")
+            found[self.joint_names.index(joint)] = value
+        return found
 
     def mounted(self, world_T_base: Any) -> Robot:
         """The same robot standing elsewhere: `world_T_base` (4, 4) [m]. Poses stay in the base's.
@@ -319,6 +351,7 @@ class Robot(Value, Constant):
         kept = [i for i, j in enumerate(self.link_joint) if first < j <= last]
         link = {old: new for new, old in enumerate(kept)}
         cut = slice(first, last)
+        joints = self.joint_names[cut]
         own = lambda parts: tuple(dataclasses.replace(part, link=link[part.link]) for part in parts if part.link in link)
         return dataclasses.replace(
             self,
@@ -332,6 +365,10 @@ class Robot(Value, Constant):
             surfaces=own(self.surfaces),
             convex_parts=own(self.convex_parts),
             self_pairs=tuple((link[a], link[b]) for a, b in self.self_pairs if a in link and b in link),
+            groups=tuple(
+                Group(g.name, own_joints) for g in self.groups if (own_joints := tuple(j for j in g.joints if j in joints))
+            ),
+            states=tuple(s._replace(values=tuple((j, v) for j, v in s.values if j in joints)) for s in self.states),
             unread_meshes=tuple(n for n in self.unread_meshes if n in (self.link_names[i] for i in kept)),
             ignored=tuple((link[i], name) for i, name in self.ignored if i in link),
             unchecked=tuple(u for u in self.unchecked if all(n in (self.link_names[i] for i in kept) for n in u.links)),

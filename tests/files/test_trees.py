@@ -13,7 +13,7 @@ from robots import FOLDER
 
 import jaxik
 from jaxik import dynamics, kinematics
-from jaxik.files.tree_ways import as_tips
+from jaxik.files.tree_ways import AskedTips
 
 LIMIT = '<limit lower="-2" upper="2" velocity="3" effort="40"/>'
 INERTIAL = """<inertial><origin xyz="0.1 0.02 0.03"/><mass value="{}"/>
@@ -183,7 +183,7 @@ def test_tips_that_are_none(two, tip, words):
 def test_tips_are_names():
     for tip in (3, [1, 2], [None], [["left_hand"]]):
         with pytest.raises(ValueError, match=r"^load: tip is .*write \"link\", or a list"):
-            as_tips(tip)
+            AskedTips.of(tip)
 
 
 def test_loops_are_refused_with_the_cut(two):
@@ -352,3 +352,64 @@ def test_the_arm_of_the_other_tests_follows(tmp_path):
     robot, free = (jaxik.load(write(tmp_path, f"{i}.urdf", text)) for i, text in enumerate((follows, URDF)))
     assert robot.joint_names == ("shoulder",)
     near(kinematics.forward_kinematics(robot, np.array([0.3])), kinematics.forward_kinematics(free, np.array([0.3, 0.6])))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# SRDF
+
+SRDF = """<robot name="two">
+<group name="left_arm"><chain base_link="torso" tip_link="left_hand"/></group>
+<group name="right_arm"><joint name="right_shoulder"/><link name="right_hand"/></group>
+<group name="both"><group name="left_arm"/><group name="right_arm"/><joint name="unknown"/></group>
+<group_state name="home" group="left_arm"><joint name="left_shoulder" value="0.5"/>
+ <joint name="left_wrist" value="-0.3"/></group_state>
+<group_state name="home" group="right_arm"><joint name="right_wrist" value="0.7"/></group_state>
+<group_state name="other" group="right_arm"><joint name="right_wrist" value="0.2"/><joint name="flex" value="1"/></group_state>
+<end_effector name="gripper" parent_link="right_hand" group="hand"/>
+<disable_collisions link1="left" link2="right" reason="Never"/></robot>"""
+
+
+def test_groups_states_and_end_effectors(two):
+    srdf = write(two.parent, "two.srdf", SRDF)
+    robot = jaxik.load(two, tip=["left_arm", "gripper"], srdf=srdf, held={})
+    assert robot.tip_names == ("left_arm", "gripper")
+    q = np.array([0.1, 0.2, 0.3, 0.4, 0.5])
+    plain = jaxik.load(two, tip=HANDS, held={})
+    near(kinematics.forward_kinematics(robot, q), kinematics.forward_kinematics(plain, q))
+    names = {group.name: group.joints for group in robot.groups}
+    assert names == {
+        "left_arm": ("left_shoulder", "left_wrist"),
+        "right_arm": ("right_shoulder", "right_wrist"),
+        "both": ("left_shoulder", "left_wrist", "right_shoulder", "right_wrist"),
+    }
+    assert robot.group("right_arm").tolist() == [3, 4]
+    model = pin.buildModelFromUrdf(str(two))
+    pin.loadReferenceConfigurations(model, str(srdf))
+    theirs = model.referenceConfigurations["other"]
+    assert robot.state("other", q).tolist() == [0.1, 0.2, 0.3, 0.4, theirs[model.joints[model.getJointId("right_wrist")].idx_q]]
+    assert robot.state("home").tolist() == [0.0, 0.5, -0.3, 0.0, 0.7]
+    assert robot.state("home", group="right_arm").tolist() == [0.0, 0.0, 0.0, 0.0, 0.7]
+    for call, words in (
+        (lambda: robot.group("left"), "no group 'left'; did you mean 'left_arm'"),
+        (lambda: robot.state("hone"), "no state 'hone'; did you mean 'home'"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            call()
+    jaxik.save(robot, two.parent / "named.toml")
+    assert jaxik.load(two.parent / "named.toml") == robot
+    part = jaxik.load(two, tip="left_arm", srdf=srdf, held={}).part(1, 3)
+    assert part.state("home").tolist() == [0.5, -0.3] and part.group("both").tolist() == [0, 1]
+
+
+@pytest.mark.parametrize(
+    "old, new, words",
+    [
+        ('<group name="right_arm"/>', '<group name="both"/>', ("group 'both'", "holds itself")),
+        ('<group name="right_arm"/>', '<group name="arms"/>', ("group 'both'", "no such group 'arms'")),
+        ('value="0.7"', 'value="home"', ("group_state 'home'", "'right_wrist' has the value 'home'")),
+    ],
+)
+def test_an_srdf_that_is_wrong(two, old, new, words):
+    assert old in SRDF
+    path = write(two.parent, "wrong.srdf", SRDF.replace(old, new))
+    refused(path, *words, reader=lambda path: jaxik.load(two, tip=HANDS, srdf=path, held={}))
