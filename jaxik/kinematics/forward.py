@@ -211,12 +211,13 @@ def bias_acceleration(robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " 
     Source: Schuetz 2017, table 3.3, summed in base axes.
     """
     frames, dtype = _frames(robot, q)
-    rates = row_rates(robot, traced(as_configuration(robot, qdot)))
+    rates: Any = as_configuration(robot, qdot)
+    rates = row_rates(robot, traced(rates)) if robot.mimics else rates
     tips = zip(robot.tips, frames.tips, strict=True)
     return _of_tips(robot, [_bias(robot, frames, rates, number, tip.translation) for number, tip in tips], (6,), dtype)
 
 
-def _bias(robot: Robot, frames: JointFrames, rates: Sequence[Scalar], number: int, point: Vec3) -> tuple[Scalar, ...]:
+def _bias(robot: Robot, frames: JointFrames, rates: Any, number: int, point: Vec3) -> tuple[Scalar, ...]:
     """The acceleration of a point of what moves with row `number`."""
     omega = alpha = acceleration = origin = BASE.translation
     for i in robot.tree.way(number):

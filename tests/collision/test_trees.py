@@ -25,7 +25,8 @@ JOINTS = (  # name, type, parent, child, place, axis, mimic
 SHAPE = f'<collision><origin xyz="0.2 0 0"/><geometry><sphere radius="{RADIUS}"/></geometry></collision>'
 PLACED = "".join(
     f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-    f'<origin xyz="{xyz}" rpy="0.1 0.2 -0.1"/><axis xyz="{axis}"/>{LIMIT.replace("2.5", "0.3") if kind == "prismatic" else LIMIT}{mimic}</joint>'
+    f'<origin xyz="{xyz}" rpy="0.1 0.2 -0.1"/><axis xyz="{axis}"/>'
+    f"{LIMIT.replace('2.5', '0.3') if kind == 'prismatic' else LIMIT}{mimic}</joint>"
     for name, kind, parent, child, xyz, axis, mimic in JOINTS
 )
 TWO = f'<robot name="two">{"".join(f"""<link name="{name}">{SHAPE}</link>""" for name in LINKS)}{PLACED}</robot>'
