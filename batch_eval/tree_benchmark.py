@@ -67,7 +67,7 @@ def states(robot: jaxik.Robot, count: int) -> tuple[np.ndarray, ...]:
 
 
 def functions(robot: jaxik.Robot) -> dict[str, Callable[..., Any]]:
-    """What is judged, of q, qdot and qddot (or torque)."""
+    """The functions that are judged, of q, qdot and qddot (or torque)."""
     return {
         "poses": lambda q, v, a: kinematics.forward_kinematics(robot, q),
         "Jacobians": lambda q, v, a: kinematics.jacobian(robot, q),
