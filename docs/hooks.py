@@ -28,6 +28,12 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
     return re.sub(r"\]\(\.\./((?:\.\./)?notebooks/)", r"](\1", markdown)
 
 
+def on_page_content(html: str, page: Any, **_: Any) -> str:
+    """Links of notebooks to pages, which in the repository lie in the folder beside theirs, as the site has them."""
+    at_home = page.file.src_uri.startswith("notebooks/")
+    return re.sub(r'href="\.\./docs/([^"#]+)\.md', r'href="../../\1/', html) if at_home else html
+
+
 def on_pre_build(config: Any) -> None:
     """Raises where a public name has no docstring, or a package no page."""
     found = faults()

@@ -61,11 +61,9 @@ class CollisionChecker:
     def hits(self, q: np.ndarray, cushion: Any = 0.0, among: np.ndarray | None = None) -> np.ndarray:
         """Whether configurations (b, n) come nearer than the margin and a cushion [m] beyond it, one or one each (b,)."""
         self.checked += len(q)
-        turned = q - whole_turns(self.endless, q)
-        margins = np.broadcast_to(self.margin + np.asarray(cushion, np.float32), len(q))
-        return self._first_by_volumes(
-            among, len(q), lambda world, rows, at: world.each(_hits, turned[rows], margins[rows], among=at)
-        )
+        asked = np.empty((len(q), q.shape[1] + 1), np.float32)
+        asked[:, :-1], asked[:, -1] = q - whole_turns(self.endless, q), self.margin + np.asarray(cushion, np.float32)
+        return self._first_by_volumes(among, asked, lambda world, rows, at: world.each(_hits, rows, at))
 
     def free_part(self, start: np.ndarray, end: np.ndarray, step: float, among: np.ndarray | None = None) -> np.ndarray:
         """The part (b,) of each straight motion before its first sample that hits, with samples every `step` [m]; 1 is all."""
@@ -93,30 +91,33 @@ class CollisionChecker:
             return np.zeros(0, bool)
         turns = whole_turns(self.endless, start)  # float32 has few digits left after many
         start, end = start - turns, end - turns
-        counts = np.maximum(1, np.ceil(self.length(end - start) / PIECE)).astype(int)
+        moved, n = end - start, start.shape[1]
+        counts = np.maximum(1, np.ceil(self.length(moved) / PIECE)).astype(int)
         first = np.cumsum(counts) - counts
-        row, number = np.repeat(np.arange(len(start)), counts), np.arange(counts.sum()) - np.repeat(first, counts)
-        at = lambda k: start[row] + (k / counts[row])[:, None] * (end - start)[row]
-        margins = np.broadcast_to(self.margin + np.asarray(extra, np.float32), len(start))[row]
-        begin, finish, fixed = at(number), at(number + 1), (np.float32(resolution),)
-
-        def asked(world: World, rows: Any, at: np.ndarray | None) -> np.ndarray:
-            columns = begin[rows], finish[rows], margins[rows]
-            return world.each(_moves, *columns, among=at, sized=True, shared=fixed)
-
-        return ~np.logical_or.reduceat(self._first_by_volumes(_of(among, row), len(row), asked), first)
+        row = np.arange(len(counts)).repeat(counts)
+        number, step = np.arange(len(row)) - first[row], moved[row]
+        at = lambda k: start[row] + (k / counts[row])[:, None] * step
+        asked = np.empty((len(row), 2 * n + 1), np.float32)
+        asked[:, :n], asked[:, n:-1] = at(number), at(number + 1)
+        asked[:, -1] = self.margin + np.asarray(extra, np.float32).repeat(counts if np.ndim(extra) else len(row))
+        shared = (np.float32(resolution),)
+        hit = lambda world, rows, at: world.each(_moves, rows, at, sized=True, shared=shared)
+        return ~np.logical_or.reduceat(self._first_by_volumes(_of(among, row), asked, hit), first)
 
     def _first_by_volumes(
-        self, among: np.ndarray | None, count: int, asked: Callable[[World, Any, np.ndarray | None], np.ndarray]
+        self,
+        among: np.ndarray | None,
+        asked: np.ndarray,
+        hit: Callable[[World, np.ndarray, np.ndarray | None], np.ndarray],
     ) -> np.ndarray:
-        """Whether rows hit, by `asked`, which takes a world, some rows, and what they are among: for an exact robot first by
-        its volumes and convex parts, which hold its surfaces, and then only for those that hit by these."""
+        """Whether the rows that are asked for hit, by a function of a world, rows, and what they are among: for an exact robot
+        first by its volumes and convex parts, which hold its surfaces, and then only for those that hit by these."""
         if self.volumes is None:
-            return asked(self.world, slice(None), among)
-        found = asked(self.volumes, slice(None), among)
+            return hit(self.world, asked, among)
+        found = hit(self.volumes, asked, among)
         left = np.flatnonzero(found)
         if len(left):
-            found[left] = asked(self.world, left, _of(among, left))
+            found[left] = hit(self.world, asked[left], _of(among, left))
         return found
 
     def proven_closely(self, start: np.ndarray, end: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
@@ -154,12 +155,15 @@ def _objects(robot: Robot, count: int, q: Any, obstacles: Any, carried: Carried)
     return by_object(together(robot, carried), count, obstacles, q)
 
 
+@in_world(1)
+def _hits(robot: Robot, obstacles: Grouped, asked: Any) -> Any:
+    """Takes configurations and their margins (n + 1, 16)."""
+    return by_lane(lambda me: collides(robot, obstacles, asked[:-1, me], margin=asked[-1, me]))
+
+
 @in_world(2)
-def _hits(robot: Robot, obstacles: Grouped, q: Any, margin: Any) -> Any:
-    return by_lane(lambda me: collides(robot, obstacles, q[:, me], margin=margin[me]))
-
-
-@in_world(4)
-def _moves(robot: Robot, obstacles: Grouped, start: Any, end: Any, margin: Any, size: Any, resolution: Any) -> Any:
-    asked = lambda me: motion_collides(robot, start[:, me], end[:, me], margin[me], resolution, size, obstacles)
-    return by_lane(asked)
+def _moves(robot: Robot, obstacles: Grouped, asked: Any, size: Any, resolution: Any) -> Any:
+    """Takes the ends of motions and their margins (2 n + 1, 16)."""
+    n = len(asked) // 2
+    ends = lambda me: (asked[:n, me], asked[n:-1, me], asked[-1, me])
+    return by_lane(lambda me: motion_collides(robot, *ends(me), resolution, size, obstacles))

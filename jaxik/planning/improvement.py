@@ -21,7 +21,7 @@ from jaxik.kinematics.joint_turns import whole_turns
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.shortcuts import FREE, PLACES, Places, chains
 from jaxik.planning.tree_search import Searches
-from jaxik.planning.ways import CALL, LOOKS, TOGETHER, kept_at, proven_chains, search_range, shortened
+from jaxik.planning.ways import CALL, LOOKS, TOGETHER, kept_at, kept_of, proven_chains, search_range, shortened
 
 OWN = 32  # places of a way itself, among those that are strewn about it
 SPREADS = 0.2, 0.05, 0.1, 0.025  # of its length, by which they lie off it, one turn after the other
@@ -56,7 +56,7 @@ class Improvement:
         self.lengths = np.array([self._length(way) for way in self.ways])
         self.ends = [way[[0, -1]] for way in self.ways]
         self.ranges = [search_range(space, *each) for each in zip((way[0] for way in self.ways), self.turns, strict=True)]
-        self.cushion = kept_at(space, self.ends, CUSHION, among)
+        self.cushion = kept_of(np.array([kept.min() for kept in kept_at(space, self.ends, among)]), CUSHION)
         self.draws = [np.random.default_rng(seed) for _ in ways]
 
     def turn(self) -> None:

@@ -77,9 +77,12 @@ def ends(who: str, robot: Robot, start: Any, goal: Any, several_poses: bool = Fa
 def turned(robot: Robot, starts: np.ndarray, goals: np.ndarray, lower: Any = None, upper: Any = None) -> np.ndarray:
     """Goals (b, g, n) with the joints without limits turned to be nearest to the start (b, n), within bounds of their own (n,)
     where these are given."""
+    free = endless(robot)
+    if not free.any():
+        return goals
     bounds = (robot.lower, robot.upper) if lower is None else (lower, upper)
     with np.errstate(invalid="ignore"):  # of what is no number
-        return np.where(endless(robot), nearest_turns(robot, goals, starts[:, None], *bounds), goals)
+        return np.where(free, nearest_turns(robot, goals, starts[:, None], *bounds), goals)
 
 
 def other_ways(robot: Robot, start: np.ndarray, goals: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -101,8 +104,11 @@ def other_ways(robot: Robot, start: np.ndarray, goals: np.ndarray, lower: np.nda
 def reached(robot: Robot, last: np.ndarray, goals: np.ndarray) -> tuple[int, np.ndarray]:
     """The number of the goal, of those that are given (g, n), that a way's last waypoint (n,) reaches, and by how many turns
     (n,) of its joints without limits it is beyond that goal."""
+    free = endless(robot)
+    if len(goals) == 1 and not free.any():
+        return 0, np.zeros(len(last), int)
     with np.errstate(invalid="ignore"):
-        turns = np.where(endless(robot), np.round((last - goals) / TURN), 0.0)
+        turns = np.where(free, np.round((last - goals) / TURN), 0.0)
         away = np.nan_to_num(np.abs(last - goals - TURN * turns).max(axis=1), nan=np.inf)
     number = int(np.argmin(away))
     return number, np.nan_to_num(turns[number]).astype(int)

@@ -224,7 +224,9 @@ def _waypoints(maker: str, given: Any) -> np.ndarray:
 
 def padded(path: JointPath, pieces: int) -> JointPath:
     """The path with pieces of no length after its own, `pieces` in all: so that programs are few."""
-    more = pieces - len(path.lengths)
-    last = np.zeros((1, *np.shape(path.coefficients)[1:]))
-    last[0, -1] = _along(np, path, np.float64(np.sum(path.lengths)))[0]
-    return JointPath(np.pad(path.lengths, (0, more)), np.concatenate([path.coefficients, np.repeat(last, more, axis=0)]))
+    count = len(path.lengths)
+    lengths, curves = np.zeros(pieces), np.zeros((pieces, *np.shape(path.coefficients)[1:]))
+    lengths[:count], curves[:count] = path.lengths, path.coefficients
+    if count < pieces:
+        curves[count:, -1] = along_pieces(curves[count - 1], lengths[count - 1])[0]
+    return JointPath(lengths, curves)

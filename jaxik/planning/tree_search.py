@@ -10,6 +10,7 @@ spreads them over any number of joints [Roberts 2018, "The unreasonable effectiv
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -74,7 +75,7 @@ class Searches:
         self.space, self.starts, self.goals, self.among = space, starts, goals, among
         self.range = lower.astype(np.float32), upper.astype(np.float32)
         self.offset, self.taken = np.zeros((count, n), np.uint32), np.zeros(count, int)
-        self.draws = [np.random.default_rng(seed) for _ in range(count)]
+        self.seed, self.draws = seed, np.zeros(count, int)
         none = np.zeros(count, np.int32)
         blocks = max(BLOCKS, -(-2 * max(map(len, goals), default=0) // TEAM_SIZE))  # roots fill at most half of a tree
         nodes = np.empty((count, 2, n, blocks, TEAM_SIZE), np.float32), np.empty((count, 2, blocks * TEAM_SIZE), np.int32)
@@ -92,7 +93,8 @@ class Searches:
         for each in found[3:]:
             each[row] = 0
         found.count[row] = [len(nodes) for nodes in roots]
-        self.offset[row] = self.draws[row].integers(0, 2**32, self.offset.shape[1], dtype=np.uint32)
+        self.draws[row] += 1
+        self.offset[row] = _offset(self.seed, int(self.draws[row]), self.offset.shape[1])
 
     @property
     def full(self) -> np.ndarray:
@@ -159,6 +161,12 @@ class Reach(NamedTuple):
     step: Any
     margin: Any
     scales: Any
+
+
+@functools.lru_cache(maxsize=64)
+def _offset(seed: int, draw: int, n: int) -> np.ndarray:
+    """Where the samples of the search of such a number begin (n,), the first time it is 1."""
+    return np.random.default_rng(seed).integers(0, 2**32, (draw, n), dtype=np.uint32)[-1]
 
 
 @in_world(len(Search._fields) + 2 + len(Reach._fields))

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxik.kinematics.joint_turns import whole_turns
 from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker
-from jaxik.planning.shortcuts import Places, chains
+from jaxik.planning.shortcuts import Places, chains, tightened
 from jaxik.planning.trajectory import JointPath
 from jaxik.planning.tree_search import Searches
 from jaxik.spmd.trace import TEAM_SIZE
@@ -40,8 +40,8 @@ LOOKS = (
     Look(0.0125, 0.0, 0.7, 3, 1.1, 512),
     Look(0.003125, 0.0, 1.0, 5, 1.01, 512),
 )
-POINTS, AGAIN = 14, 3  # of a way, between which lines are tried, and how often at most
-BETTER = 0.95  # times as long as before, from which on it is not tried again
+PARTS = np.array([0.25, 0.5, 1.0])  # of a look's cushion, that a search keeps whose ends lack the whole of it
+CUSHIONS = np.unique([CLOSE, *(part * look.cushion for look in LOOKS for part in PARTS if look.cushion)])
 SHARES = 0.5 ** np.arange(1.0, 6.0)  # of the shorter line at a corner, at which its bend begins and ends
 CHORDS = 8
 CALL = 128  # rounds of the search between two looks at the clock
@@ -97,10 +97,10 @@ def _proven_ways(
     """`proven_ways` of a few problems, whose trees fit in the caches."""
     turns = np.broadcast_to(whole_turns(space.endless, starts), starts.shape)  # float32 has few digits left after many
     ends = [np.array([start, *goals]) - turn for start, goals, turn in zip(starts, goals, turns, strict=True)]
-    ends, hopeless = _provable(space, ends, among)
-    ranges = [search_range(space, each[0], turn) for each, turn in zip(ends, turns, strict=True)]
-    lower = np.array([np.minimum(low, each.min(axis=0)) for (low, _), each in zip(ranges, ends, strict=True)])
-    upper = np.array([np.maximum(high, each.max(axis=0)) for (_, high), each in zip(ranges, ends, strict=True)])
+    ends, kept, hopeless = _provable(ends, kept_at(space, ends, among))
+    low, high = search_range(space, starts - turns, turns)
+    lower = np.minimum(low, [each.min(axis=0) for each in ends])
+    upper = np.maximum(high, [each.max(axis=0) for each in ends])
     searches = Searches(space, starts - turns, [each[1:] for each in ends], lower, upper, seed, among)
     clock = Clock(None if seconds is None else seconds * len(starts), progress, searches)
     ways: list[np.ndarray | None] = [None] * len(starts)
@@ -110,8 +110,7 @@ def _proven_ways(
         limit = np.ceil(look.share * rounds).astype(int)
         if not len(left):
             break
-        cushion = np.zeros(len(starts))
-        cushion[left] = kept_at(space, [ends[i] for i in left], look.cushion, among[left])
+        cushion = kept_of(kept, look.cushion)
         for _ in range(TRIES):
             if not len(left) or clock.over:
                 break
@@ -134,14 +133,13 @@ def _proven_ways(
     return Found(ways, searches.taken, checked + TEAM_SIZE * searches.taken, gaps)
 
 
-def _provable(space: CollisionChecker, ends: Sequence[np.ndarray], among: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+def _provable(ends: Sequence[np.ndarray], kept: Sequence[np.ndarray]) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
     """The start and the goals (e, n) of each problem without those goals to which no line can be proven, since they all but
-    touch; and whether there is none left, or the start does (b,)."""
-    first = np.cumsum([0, *map(len, ends)])
-    touching = np.split(space.hits(np.concatenate(ends), CLOSE, np.repeat(among, np.diff(first))), first[1:-1])
-    hopeless = np.array([touches[0] or touches[1:].all() for touches in touching])
-    kept = [np.r_[False, touches[1:]] & ~lost for touches, lost in zip(touching, hopeless, strict=True)]
-    return [each[~without] for each, without in zip(ends, kept, strict=True)], hopeless
+    touch; what all of them have `kept` (b,) [m]; and whether there is none left, or the start does (b,)."""
+    hopeless = np.array([not each[0] or not each[1:].any() for each in kept])
+    some = [np.r_[True, (each[1:] > 0.0) | lost] for each, lost in zip(kept, hopeless, strict=True)]
+    left = [each[which] for each, which in zip(ends, some, strict=True)]
+    return left, np.array([each[which].min() for each, which in zip(kept, some, strict=True)]), hopeless
 
 
 class Clock:
@@ -160,15 +158,20 @@ class Clock:
         self.progress(int(self.searches.taken[0]), self.ended)
 
 
-def kept_at(space: CollisionChecker, ends: Sequence[np.ndarray], most: float, among: np.ndarray) -> np.ndarray:
-    """The cushion (b,) [m] that each search may keep from its ends (e, n): what these do not have would wall them in."""
-    if not most:
-        return np.zeros(len(ends))
-    tried = most * np.array([[0.25], [0.5], [1.0]])
-    rows, first = np.concatenate(ends), np.cumsum([0, *map(len, ends[:-1])])
-    each = np.tile(np.repeat(among, list(map(len, ends))), len(tried))
-    hit = space.hits(np.tile(rows, (len(tried), 1)), np.repeat(tried, len(rows)), each).reshape(len(tried), -1)
-    return np.max(tried * ~np.logical_or.reduceat(hit, first, axis=1), axis=0)
+def kept_at(space: CollisionChecker, ends: Sequence[np.ndarray], among: np.ndarray) -> list[np.ndarray]:
+    """By how much more than the margin each of the ends (e, n) keeps away from things, the most of `CUSHIONS` (e,) [m]."""
+    rows, counts = np.concatenate(ends), list(map(len, ends))
+    hit = space.hits(
+        np.tile(rows, (len(CUSHIONS), 1)), np.repeat(CUSHIONS, len(rows)), np.tile(np.repeat(among, counts), len(CUSHIONS))
+    )
+    most = np.max(CUSHIONS[:, None] * ~hit.reshape(len(CUSHIONS), -1), axis=0)
+    return np.split(most, np.cumsum(counts)[:-1])
+
+
+def kept_of(kept: np.ndarray, cushion: float) -> np.ndarray:
+    """The part (b,) of a cushion that a search may keep whose ends have `kept` (b,) [m]: what these do not have would wall it
+    in."""
+    return np.max(PARTS * cushion * (PARTS * cushion <= kept[:, None]), axis=1)
 
 
 def _searched(searches: Searches, rows: np.ndarray, look: Look, cushion: np.ndarray, limit: np.ndarray, clock: Clock) -> None:
@@ -187,8 +190,8 @@ def _searched(searches: Searches, rows: np.ndarray, look: Look, cushion: np.ndar
 
 
 def search_range(space: CollisionChecker, start: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`finite_limits`; those of a joint that lacks one are moved as far towards the start (n,) as its other one, and the bounds
-    of `space`, which is a `turn` (n,) further, allow: how often it has turned before makes no difference to a search."""
+    """`finite_limits`; those of a joint that lacks one are moved as far towards the start (..., n) as its other one, and the
+    bounds of `space`, which is a `turn` (..., n) further, allow: how often it has turned before makes no difference."""
     lower, upper = space.robot.finite_limits
     robot = space.robot
     least, most = (np.where(np.isfinite(limit), 0.0, end) for limit, end in ((robot.lower, -np.inf), (robot.upper, np.inf)))
@@ -201,9 +204,7 @@ def shortened(
 ) -> tuple[list[np.ndarray | None], np.ndarray]:
     """Waypoints (k, n) of shorter ways between which all straight lines are proven free, or None where no such chain of lines
     was found; and how many configurations were looked at for each."""
-    ways, looked = list(ways), np.zeros(len(ways), int)
-    places: list[Any] = [None] * len(ways)
-    found: list[np.ndarray] = [np.zeros(0, int)] * len(ways)
+    places, found, looked = tightened(space, ways, step, cushion, among)
 
     def chained(rows: list[int]) -> None:
         """The shortest chains of these rows' places."""
@@ -212,17 +213,6 @@ def shortened(
         for i, each in zip(rows, chain, strict=True):
             found[i] = each
 
-    left = list(range(len(ways)))
-    for _ in range(AGAIN):
-        lengths = {i: space.length(np.diff(ways[i], axis=0)) for i in left}
-        for i in left:
-            places[i] = Places.on(ways[i], lengths[i], max(lengths[i].sum() / POINTS, step))
-        chained(left)
-        for i in left:
-            ways[i] = places[i].points[found[i]] if len(found[i]) else ways[i]
-        left = [i for i in left if len(found[i]) and space.length(np.diff(ways[i], axis=0)).sum() <= BETTER * lengths[i].sum()]
-        if not left:
-            break
     return proven_chains(space, places, found, chained, among), looked
 
 

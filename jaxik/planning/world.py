@@ -95,21 +95,16 @@ class World:
         return [np.concatenate(each) for each in zip(*parts, strict=True)]
 
     def each(
-        self,
-        kernels: Kernels,
-        *columns: np.ndarray,
-        among: np.ndarray | None,
-        sized: bool = False,
-        shared: tuple[Any, ...] = (),
+        self, kernels: Kernels, asked: np.ndarray, among: np.ndarray | None, sized: bool = False, shared: tuple[Any, ...] = ()
     ) -> np.ndarray:
-        """Whether a kernel's `by_lane` holds for each of such columns (b, ...), float32, of which it takes sixteen in the last
-        axis; `sized`, also the size of what is in their scene [m]. Without `among` all are in the first scene."""
-        places, scenes = None, np.zeros(-(-len(columns[0]) // TEAM_SIZE), int)
+        """Whether a kernel's `by_lane` holds for each of such rows (b, k), of which it takes sixteen as (k, 16); `sized`, also
+        the size of what is in their scene [m]. Without `among` all are in the first scene."""
+        places, scenes = None, np.zeros(-(-len(asked) // TEAM_SIZE), int)
         if self.several and among is not None:
             places, scenes = _places(among)
-            columns = tuple(x[places] for x in columns)
-        rows = [_sixteens(x) for x in columns] + [self.sizes[scenes]] * sized
-        holds = _bits(self.run(kernels, *rows, among=scenes, shared=shared, size=TEAM_SIZE), len(columns[0]))
+            asked = asked[places]
+        rows = [_sixteens(asked)] + [self.sizes[scenes]] * sized
+        holds = _bits(self.run(kernels, *rows, among=scenes, shared=shared, size=TEAM_SIZE), len(asked))
         return holds if places is None else holds[np.unique(places, return_index=True)[1]]
 
 
@@ -146,13 +141,12 @@ def _scenes(scenes: Sequence[Scene], robot: Robot) -> tuple[Packed, np.ndarray]:
     return around, np.array([size for _, size in each], np.float32)
 
 
-def _sixteens(x: np.ndarray) -> np.ndarray:
-    """Rows (b, ...) as float32 rows of sixteen, in the last axis; the last row again and again in the last ones."""
-    rows, width = -(-len(x) // TEAM_SIZE), x[:1].size
-    filled = np.empty((rows * TEAM_SIZE, width), np.float32)
-    filled[: len(x)] = x.reshape(len(x), width)
-    filled[len(x) :] = filled[len(x) - 1 : len(x)]
-    return np.ascontiguousarray(filled.reshape(rows, TEAM_SIZE, width).swapaxes(1, 2)).reshape(rows, *x.shape[1:], TEAM_SIZE)
+def _sixteens(asked: np.ndarray) -> np.ndarray:
+    """Rows (b, k) as float32 rows (k, 16) of sixteen; the last one again and again in the last ones."""
+    (count, k), rows = asked.shape, -(-len(asked) // TEAM_SIZE)
+    filled = np.empty((rows * TEAM_SIZE, k), np.float32)
+    filled[:count], filled[count:] = asked, asked[count - 1 : count]
+    return np.ascontiguousarray(filled.reshape(rows, TEAM_SIZE, k).swapaxes(1, 2))
 
 
 def _bits(found: list[np.ndarray], count: int) -> np.ndarray:
