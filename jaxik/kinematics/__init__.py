@@ -1,6 +1,7 @@
 """A robot and where its joints put it: the model, the frames of its links, Jacobians, and what a task asks of its tip."""
 
 from jaxik.kinematics.forward import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
+from jaxik.kinematics.holding import branch_to, hold_joints
 from jaxik.kinematics.joint_turns import turns
 from jaxik.kinematics.link_distance_table import PairTable
 from jaxik.kinematics.motion import Motion, smooth
@@ -26,7 +27,9 @@ __all__ = [
     "Unchecked",
     "Volume",
     "bias_acceleration",
+    "branch_to",
     "forward_kinematics",
+    "hold_joints",
     "jacobian",
     "link_frames",
     "manipulability",

@@ -184,7 +184,7 @@ class Robot(Value, Constant):
             raise ValueError(no_such(f"group: {self.name}", "group", str(name), tuple(found)))
         return np.array([self.joint_names.index(joint) for joint in found[name]], int)
 
-    def state(self, name: str, q: Any = None, *, group: str | None = None) -> Float[np.ndarray, " n"]:
+    def state(self, name: str, *, q: Any = None, group: str | None = None) -> Float[np.ndarray, " n"]:
         """Returns a configuration (n,) [rad, m] with the joints of a named state as it says, of all groups that have one of
         this name or of one `group`; the others as in `q` (n,), or at 0 or the limit that is nearest.
 
@@ -432,7 +432,7 @@ def need_serial(who: str, robot: Robot) -> None:
     branches = sum(row not in robot.tree.parents for row in range(len(robot.row_names)))
     what = [f"{branches} branches"] * (branches > 1) + [f"{len(robot.mimics)} mimic joints"] * bool(robot.mimics)
     what += [f"{len(robot.tips)} tips"] * (len(robot.tips) > 1) or ["a tip that is not at its end"] * (not what)
-    mend = 'load one branch: jaxik.load(.., tip="link")'
+    mend = f"take one branch: kinematics.branch_to(robot, {shown(robot.tip_names[0] if robot.tip_names else 'link')!r})"
     raise ValueError(f"{who}: {robot.name} has {' and '.join(what)}; this takes a serial arm: {mend}")
 
 

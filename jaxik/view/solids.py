@@ -106,6 +106,14 @@ def frames(robot: Robot, q: Any) -> np.ndarray:
     return np.array([[float(x) for x in frame.entries] for frame in (root, *found.joints, *found.tips)]).reshape(-1, 4, 4)
 
 
+def bones(robot: Robot, placed: np.ndarray) -> np.ndarray:
+    """The lines (k, 2, 3) [m] from each joint to those that hang on it, and on to the tips, of its `frames`."""
+    parents, origins = robot.tree.parents, placed[:, :3, 3]
+    ends = [(parent + 1, row + 1) for row, parent in enumerate(parents) if parent >= 0]
+    ends += [(number, len(parents) + 1 + tip) for tip, number in enumerate(robot.tips)]
+    return origins[np.array(ends)]
+
+
 def _placed(points: np.ndarray, frame: Any) -> np.ndarray:
     """Points (..., k, 3) of a frame (..., 4, 4), in the frame that it is given in."""
     turn, place = np.asarray(frame)[..., :3, :3], np.asarray(frame)[..., None, :3, 3]

@@ -1,5 +1,6 @@
 """Robots with several tips, mimic joints and bases that move, from every kind of file; and what is refused in one line."""
 
+import dataclasses
 import itertools
 
 import jax
@@ -126,6 +127,40 @@ def test_what_is_held_is_no_joint(two):
     refused(two, "held 'turn'", "5 is outside", "-2 to 2", tip=HANDS, held={"turn": 5.0})
     refused(two, "held 'flex'", "is in posture=, too", tip=HANDS, held={"flex": 0.0}, posture={"flex": 0.0})
     refused(two, "posture 'turn'", "held={'turn': 0.1}", tip=HANDS, posture={"turn": 0.1})
+
+
+def test_joints_that_are_held_later(two):
+    """They leave the robot that a file gives with the same joints held; a branch is the arm that it gives for one tip."""
+    whole, values = jaxik.load(two, tip=[*HANDS, "thumb"], held={}), {"turn": 0.3, "flex": -0.2}
+    rng = np.random.default_rng(5)
+    pairs = [(kinematics.hold_joints(whole, values), jaxik.load(two, tip=[*HANDS, "thumb"], held=values))]
+    pairs.append((kinematics.branch_to(whole, "left_hand"), jaxik.load(two, tip="left_hand", held={})))
+    pairs.append(
+        (kinematics.hold_joints(whole, {"left_wrist": 0.4}), jaxik.load(two, tip=[*HANDS, "thumb"], held={"left_wrist": 0.4}))
+    )
+    for ours, theirs in pairs:
+        assert ours.joint_names == theirs.joint_names and ours.parents == theirs.parents
+        assert ours.link_names and len(ours.mimics) == len(theirs.mimics)
+        q, v, a = rng.normal(size=(3, ours.num_joints))
+        near(kinematics.forward_kinematics(ours, q), kinematics.forward_kinematics(theirs, q))
+        near(kinematics.jacobian(ours, q), kinematics.jacobian(theirs, q))
+        near(dynamics.inverse_dynamics(ours, q, v, a), dynamics.inverse_dynamics(theirs, q, v, a), 1e-11)
+        index = {name: i for i, name in enumerate(theirs.link_names)}  # neighbours of before are neighbours still
+        same = [[index[ours.link_names[i]] for i in pair] for pair in ours.self_pairs]
+        alike = dataclasses.replace(theirs, self_pairs=tuple(sorted(tuple(sorted(pair)) for pair in same)))
+        near(jaxik.clearance(ours, None, q), jaxik.clearance(alike, None, q), 1e-6)
+        places = dict(zip(theirs.link_names, kinematics.link_frames(theirs, q), strict=True))
+        for name, frame in zip(ours.link_names, kinematics.link_frames(ours, q), strict=True):
+            near(frame, places[name])
+    assert kinematics.branch_to(whole, "left_hand").tree.serial
+    assert kinematics.hold_joints(whole, {}) is whole
+    for call, words in (
+        (lambda: kinematics.hold_joints(whole, {"trun": 0.0}), "no joint 'trun'; did you mean 'turn'"),
+        (lambda: kinematics.hold_joints(whole, dict.fromkeys(whole.joint_names, 0.0)), "leave one that moves"),
+        (lambda: kinematics.branch_to(whole, "base"), "no joint of two moves 'base'"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            call()
 
 
 @pytest.mark.parametrize("base", ["planar", "floating"])
@@ -386,7 +421,13 @@ def test_groups_states_and_end_effectors(two):
     model = pin.buildModelFromUrdf(str(two))
     pin.loadReferenceConfigurations(model, str(srdf))
     theirs = model.referenceConfigurations["other"]
-    assert robot.state("other", q).tolist() == [0.1, 0.2, 0.3, 0.4, theirs[model.joints[model.getJointId("right_wrist")].idx_q]]
+    assert robot.state("other", q=q).tolist() == [
+        0.1,
+        0.2,
+        0.3,
+        0.4,
+        theirs[model.joints[model.getJointId("right_wrist")].idx_q],
+    ]
     assert robot.state("home").tolist() == [0.0, 0.5, -0.3, 0.0, 0.7]
     assert robot.state("home", group="right_arm").tolist() == [0.0, 0.0, 0.0, 0.0, 0.7]
     for call, words in (
