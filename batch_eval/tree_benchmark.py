@@ -1,4 +1,5 @@
-"""Robots with branches: against Pinocchio on the trees of example-robot-data, and beside its loop on two arms of seven joints.
+"""Robots with branches: against Pinocchio on the trees of example-robot-data, and beside its loop on two arms of seven joints,
+whose collisions coal judges.
 
 `python batch_eval/tree_benchmark.py` needs `pip install -e ".[test,peers]"`; `--check` judges alone. `--before FOLDER` also
 times serial arms in this checkout and in one of before trees, by turns in one run. Prints and writes
@@ -44,6 +45,7 @@ TREES = {  # file, base
     "quadruped, two arms (Centauro)": ("centauro_description/urdf/centauro.urdf", None),
     "mobile manipulator (TIAGo)": ("tiago_description/robots/tiago_no_hand.urdf", "planar"),
 }
+APART = "baxter_description/srdf/baxter_manipulation.srdf"
 ARMS = "baxter_description/urdf/baxter.urdf", ["left_gripper", "right_gripper"]
 SERIAL = ("panda", "ur5e", "p6r", "iiwa14", "crops_v2")  # shipped models, before and after
 COUNT, PEERS, TURNS, STARTS = 4_096, 500, 9, 5
@@ -172,6 +174,61 @@ def two_arms() -> list[dict[str, Any]]:
 
 
 # --------------------------------------------------------------------------------------------------------------------
+# Two arms that hit each other, or do not
+
+
+def collisions(count: int = 3000, motions: int = 40) -> dict[str, Any]:
+    """Random configurations of two arms by jaxik's model of their meshes and by coal's meshes, of the same pairs of links; and
+    motions that are planned between free ones, as coal sees them every 20 ms."""
+    file, tips = ARMS
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        robot = jaxik.load(ROBOTS / file, tip=tips, held={}, meshes=True, srdf=ROBOTS / APART)
+    hits, rng = _coal(ROBOTS / file, robot), np.random.default_rng(0)
+    q = rng.uniform(robot.lower, robot.upper, (count, robot.num_joints))
+    clear = np.asarray(jax.vmap(lambda q: jaxik.clearance(robot, None, q))(q))
+    truth, free = np.array([hits(each) for each in q]), q[clear > 0.01]
+    planned = [jaxik.plan_motion(robot, free[2 * i], free[2 * i + 1]) for i in range(motions)]
+    samples = np.concatenate([plan.trajectory.sample(0.02).q for plan in planned if plan.success])
+    found = {
+        "configurations": count,
+        "free": int(np.sum(clear > 0.0)),
+        "free, but hit by coal": int(np.sum((clear > 0.0) & truth)),
+        "hit, but free by coal": int(np.sum((clear <= 0.0) & ~truth)),
+        "motions": motions,
+        "motions planned": int(np.sum([plan.success for plan in planned])),
+        "samples of motions": len(samples),
+        "samples hit by coal": int(np.sum([hits(each) for each in samples])),
+    }
+    print(found, flush=True)
+    return found
+
+
+def _coal(file: Path, robot: jaxik.Robot) -> Callable[[np.ndarray], bool]:
+    """Whether the meshes of the pairs of links that a robot checks touch, by coal and Pinocchio."""
+    model = pin.buildModelFromUrdf(str(file))
+    shapes = pin.buildGeomFromUrdf(model, str(file), pin.GeometryType.COLLISION, package_dirs=[str(ROBOTS.parent.parent)])
+    away = [i for i in range(1, model.njoints) if model.names[i] not in robot.joint_names]
+    model, shapes = pin.buildReducedModel(model, shapes, away, pin.neutral(model))
+    of: dict[str, list[int]] = {}
+    for i, shape in enumerate(shapes.geometryObjects):
+        of.setdefault(shape.name.rpartition("_")[0], []).append(i)
+    for a, b in robot.self_pairs:
+        for i in of.get(robot.link_names[a], []):
+            for j in of.get(robot.link_names[b], []):
+                shapes.addCollisionPair(pin.CollisionPair(i, j))
+    data, found = model.createData(), pin.GeometryData(shapes)
+    at = [model.joints[model.getJointId(name)].idx_q for name in robot.joint_names]
+
+    def hits(q: np.ndarray) -> bool:
+        full = pin.neutral(model)
+        full[at] = q
+        return bool(pin.computeCollisions(model, data, shapes, found, full, True))
+
+    return hits
+
+
+# --------------------------------------------------------------------------------------------------------------------
 # Serial arms, before and after
 
 SERIAL_TIMES = """
@@ -252,7 +309,7 @@ def main() -> None:
     content = {"machine": machine(), "agreement": check()}
     if asked.check:
         return
-    content["rows"] = two_arms()
+    content["rows"], content["collisions"] = two_arms(), collisions()
     if asked.before:
         content["serial"] = serial(asked.before.resolve())
     asked.out.write_text(json.dumps(content, indent=1) + "\n")

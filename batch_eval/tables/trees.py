@@ -28,6 +28,14 @@ def trees_markdown(result: dict[str, Any]) -> str:
     told += "centre of mass and its Jacobian, torques and mass matrices, relative to the largest entry; accelerations, which "
     told += f"solve with the mass matrix, {accelerations:.0e}: " + ", ".join(judged) + "."
     lines += ["", *textwrap.wrap(told, 130)]
+    seen = result["collisions"]
+    told = (
+        f"Of {seen['configurations']:,} random configurations of these arms coal calls {seen['free, but hit by coal']} a hit "
+    )
+    told += f"that jaxik calls free ({seen['free']:,}), and {seen['hit, but free by coal']} free that jaxik calls a hit, by "
+    told += f"their meshes. {seen['motions planned']} of {seen['motions']} motions of all 14 joints between free ones are "
+    told += f"planned and proven free: {seen['samples hit by coal']} hits in {seen['samples of motions']:,} samples."
+    lines += ["", *textwrap.wrap(told, 130)]
     if serial := result.get("serial"):
         least = min(row["ratio"] for row in serial.values())
         same = all(row["same_bits"] for row in serial.values())

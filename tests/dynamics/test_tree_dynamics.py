@@ -6,6 +6,7 @@ import warnings
 
 import jax
 import numpy as np
+import pinocchio as pin
 import pytest
 from peers.tree_truth import TreeTruth, tree_tips
 from robots import FOLDER
@@ -43,6 +44,14 @@ def loaded(name):
         warnings.filterwarnings("ignore", message=".*which locks it at 0")
         robot = jaxik.load(FOLDER / file, tip=tree_tips(FOLDER / file), base=base, held={})
     return robot, TreeTruth(FOLDER / file, robot.joint_names, base)
+
+
+@functools.cache
+def fingers():
+    """One arm, whose second finger follows the first."""
+    path = FOLDER / TREES["two arms, mimic fingers"][0]
+    robot = jaxik.load(path, tip=["l_gripper_l_finger", "l_gripper_r_finger"], held={})
+    return robot, TreeTruth(path, robot.joint_names)
 
 
 def state(robot, seed=0):
@@ -87,9 +96,9 @@ PUBLIC = {
 
 
 @pytest.mark.usefixtures("only_kernels")
-@pytest.mark.parametrize("name", ["two arms, mimic fingers", "biped"])
+@pytest.mark.parametrize("name", ["fingers", "biped"])
 def test_kernels_of_trees(name):
-    robot, truth = loaded(name)
+    robot, truth = fingers() if name == "fingers" else loaded(name)
     q, v, a = state(robot, 1)
     for which, function in PUBLIC.items():
         given = (q,) if which == "mass_matrix" else (q, v, a)
@@ -122,9 +131,37 @@ def test_poses_of_tips_and_of_each_other():
     close(turned, truth.jacobian(q, tips[0]))
 
 
-@pytest.mark.parametrize("name", ["biped", "two arms, mimic fingers"])
+def test_the_tip_accelerates_along_its_branch():
+    """Jdot qdot of each tip, by Pinocchio's classical acceleration; centripetal terms of a tip behind a follower, too."""
+    robot, truth = loaded("two arms, mimic fingers")
+    pair = robot.with_tips(("l_gripper_r_finger", "right_gripper"))
+    q, v, _ = state(robot, 6)
+    x, rates = truth.q(q), truth.G @ v
+    pin.forwardKinematics(truth.model, truth.data, x, rates, 0.0 * rates)
+    aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    theirs = [
+        pin.getFrameClassicalAcceleration(truth.model, truth.data, truth.frame(t), aligned).vector for t in pair.tip_names
+    ]
+    close(kinematics.bias_acceleration(pair, q, v), np.stack(theirs), 1e-11)
+
+
+def test_one_hand_of_two_is_sent_somewhere():
+    """The joints that one tip of a tree has are moved; the answer is judged by Pinocchio."""
+    robot, truth = loaded("two arms, mimic fingers")
+    left = robot.with_tips("left_gripper")
+    q = np.random.default_rng(7).uniform(0.7 * robot.lower, 0.7 * robot.upper, (5, robot.num_joints))
+    found = jaxik.solve_ik(left, np.stack([truth.pose(each, "left_gripper") for each in q]), collision=False)
+    assert found.success.all()
+    for each, solved in zip(q, found.q, strict=True):
+        close(truth.pose(solved, "left_gripper"), truth.pose(each, "left_gripper"), 1e-5)
+
+
+DERIVED = ["biped", "fingers"]
+
+
+@pytest.mark.parametrize("name", DERIVED)
 def test_derivatives(name):
-    robot, truth = loaded(name)
+    robot, truth = loaded(name) if name == "biped" else fingers()
     q, v, a = state(robot, 3)
     found = jax.jacfwd(lambda *given: dynamics.inverse_dynamics(robot, *given), (0, 1, 2))(q, v, a)
     close(np.stack(found), truth.derivatives(q, v, a), SLOPE)
