@@ -278,13 +278,10 @@ class Robot(Value, Constant):
         return dataclasses.replace(self, bodies=(*self.bodies[:row], last, *self.bodies[row + 1 :]))
 
     def only_tip(self, who: str) -> int:
-        """Returns the number of the row that the only tip hangs on. Raises `ValueError` of `who` for several tips."""
-        if len(self.tips) > 1:
-            known = f"{self.name} has {len(self.tips)} tips"
-            names = ", ".join(self.tip_names) or "no names"
-            raise ValueError(
-                f"{who}: {known} ({names}); choose one: robot.with_tips({shown(next(iter(self.tip_names), ''))!r})"
-            )
+        """Returns the number of the row that the tip hangs on. Raises `ValueError` of `who` for a list of tips."""
+        if np.ndim(self.joint_T_tip) == 3:
+            mend = f"choose one: robot.with_tips({shown(next(iter(self.tip_names), 'link'))!r})"
+            raise ValueError(f"{who}: {self.name} has a list of tips ({', '.join(self.tip_names)}); {mend}")
         return self.tips[0]
 
     @property

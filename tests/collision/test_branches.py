@@ -113,7 +113,7 @@ def test_a_hand_grasps(two):
     robot, truth = two
     scene, name = jaxik.make_scene(spheres=[BALL]), "spheres_1"
     q = np.array([0.1, -0.2, 0.3, 0.4, 0.1, 0.2])
-    with pytest.raises(ValueError, match=r"^attach: two has 2 tips"):
+    with pytest.raises(ValueError, match=r"^attach: two has a list of tips"):
         jaxik.collision.attach(robot, scene, name, q)
     held = jaxik.collision.attach(robot.with_tips("right_hand"), scene, name, q).robot
     here = truth.pose(q, "right_hand")

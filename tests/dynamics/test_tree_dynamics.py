@@ -187,7 +187,7 @@ def test_a_wrench_pulls_at_its_branch_alone():
 def test_loads_and_rotors_of_a_tree():
     robot, truth = loaded("biped")
     q, _, _ = state(robot, 5)
-    with pytest.raises(ValueError, match=r"^with_load: bolt has 2 tips .*with_tips"):
+    with pytest.raises(ValueError, match=r"^with_load: bolt has a list of tips .*with_tips"):
         robot.with_load(1.0)
     loaded_foot = robot.with_tips("FR_FOOT").with_load(2.0)
     mass = dynamics.mass_matrix(loaded_foot, q) - dynamics.mass_matrix(robot, q)

@@ -361,6 +361,10 @@ def test_what_takes_arms_alone_says_so(two):
         lambda: jaxik.closed_form(robot, targets),
         lambda: jaxik.homotopy.all_postures(robot, targets),
         lambda: robot.with_load(1.0),
+        lambda: jaxik.harvest(robot, jaxik.load_scene("cucumber_row")),
+        lambda: jaxik.teleoperation.reflect(robot, np.zeros(5), dynamics.PointForce(1, np.zeros(3), np.ones(3))),
+        lambda: jaxik.follow(robot, jaxik.motions.Line(np.eye(4), np.eye(4)), 1.0, np.zeros(5)),
+        lambda: jaxik.identification.base_parameters(robot),
         lambda: kinematics.manipulability(robot, np.zeros(5)),
     ):
         with pytest.raises(ValueError, match=r"two|tips") as error:
