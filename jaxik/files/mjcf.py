@@ -195,15 +195,18 @@ def _fingers(model: Any, names: list[str]) -> set[str]:
 
 
 def _below_world(path: Path, model: Any, names: list[str], ways: Ways, moves: str) -> tuple[Ways, np.ndarray]:
-    """The ways from the body that stands in the world, which a base is to move, and how it stands where that is at 0: at the
-    height that it has in its file on a plane, else with its frame in the world's."""
+    """The ways from the body that stands in the world, which a base is to move, and how it stands where that is at 0: as in its
+    file. Of one that is free in its file a plane keeps height and turn, six joints nothing: they are its pose."""
     trunk = names.index(ways.below[0])
     first, count = int(model.body_jntadr[trunk]), int(model.body_jntnum[trunk])
     if any(model.jnt_type[i] != FREE for i in range(first, first + count)):
         mend = f"leave base= out: {', '.join(_label(model, i) for i in range(first, first + count))} move it"
         raise LoadError(path, f"base '{moves}'", f"body '{names[trunk]}' has joints of its own in the world", mend)
-    stands = np.eye(4)
-    stands[2, 3] = model.body_pos[trunk][2] if moves == "planar" else 0.0
+    stands = frame(model.body_pos[trunk], from_wxyz(model.body_quat[trunk]))
+    if count:
+        stands = (
+            np.eye(4) if moves == "floating" else frame([0.0, 0.0, model.body_pos[trunk][2]]) @ frame(rotation=stands[:3, :3])
+        )
     return ways._replace(root=ways.below[0], below=ways.below[1:]), stands
 
 

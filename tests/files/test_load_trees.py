@@ -316,6 +316,20 @@ def test_a_tree_of_mjcf_is_mujocos(tmp_path):
     assert robot.armature[robot.joint_names.index("l4")] == pytest.approx(0.1 + 4.0 * 0.4)
 
 
+def test_where_a_body_stands_that_a_base_moves(tmp_path):
+    """One that is bolted to the world as in its file; a free one at its height, or where the six joints say."""
+    bolted = MJCF.replace('<freejoint name="free"/>', "").replace('pos="0.1 0.2 0.4"', 'pos="0.1 0.2 0.4" quat="0 1 0 0"')
+    for text, base, place, turn in (
+        (MJCF, "planar", [0.0, 0.0, 0.4], 1.0),
+        (MJCF, "floating", [0.0, 0.0, 0.0], 1.0),
+        (bolted, "planar", [0.1, 0.2, 0.4], -1.0),
+    ):
+        robot = jaxik.load(write(tmp_path, "two.xml", text), tip=["left", "right"], base=base, held={})
+        trunk = kinematics.forward_kinematics(robot.with_tips("trunk"), np.zeros(robot.num_joints))
+        near(trunk[:3, 3], place)
+        near(trunk[2, 2], turn)
+
+
 def test_mjcf_and_urdf_are_the_same_tree(tmp_path, two):
     """The MJCF that MuJoCo makes of the URDF."""
     urdf = TWO.replace("<robot", "<robot").replace("</robot>", '<mujoco><compiler fusestatic="false"/></mujoco></robot>')
