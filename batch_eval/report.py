@@ -43,6 +43,7 @@ from tables.postures import (
 )
 from tables.programs import programs_markdown
 from tables.teleoperation import teleoperation_markdown
+from tables.trees import trees_markdown
 from tables.words import duration
 
 HERE = Path(__file__).parent
@@ -81,6 +82,7 @@ TABLES = {
     "torque_estimation.json": torque_markdown,
     "touch.json": touch_markdown,
     "trajectory_benchmark.json": trajectory_markdown,
+    "tree_benchmark.json": trees_markdown,
 }
 
 

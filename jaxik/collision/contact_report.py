@@ -121,7 +121,7 @@ def _left_out(robot: Robot) -> list[tuple[int, int]]:
     """The pairs of links that move against each other, are no neighbours, and are not checked though they may touch."""
     number = {name: i for i, name in enumerate(robot.link_names)}
     pairs = [(number[a], number[b]) for u in robot.unchecked if u.reason in ("named", "touches") for a, b in [u.links]]
-    return [(a, b) for a, b in pairs if abs(robot.link_joint[a] - robot.link_joint[b]) > 1]
+    return [(a, b) for a, b in pairs if robot.tree.distance(robot.link_joint[a], robot.link_joint[b]) > 1]
 
 
 class _Pairs:
