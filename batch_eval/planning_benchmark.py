@@ -87,7 +87,8 @@ def problems(folder: Path, tip: str | None = None) -> dict[str, Any]:
         "seeds": seeds(robot, goals[:: max(1, len(goals) // 70)]),
         "many": many(robot, goals[0].scene),
         "scenes": scenes(robot, goals, motions),
-        "improved": improved(robot, goals[:: max(1, len(goals) // 70)]),
+        "improved": improved(robot, goals[:: max(1, len(goals) // 70)], "length"),
+        "sooner": improved(robot, goals[:: max(1, len(goals) // 70)], "time"),
         "failed": {goal.name: moved.why for goal, moved in zip(goals, motions, strict=True) if not moved},
         "fresh": fresh.first_motions(folder, tip),
     }
@@ -145,11 +146,12 @@ def scenes(robot: jaxik.Robot, goals: list[Any], motions: tuple[PlanResult, ...]
     }
 
 
-def improved(robot: jaxik.Robot, goals: list[Any], seconds: tuple[float, ...] = (0.01, 0.1, 1.0)) -> dict[str, Any]:
-    """The mean share of a way's length, and of a motion's time, that is left after so many seconds more."""
-    plan = lambda goal, time: plan_motion(robot, goal.start, goal.q, scene=goal.scene, improve=time)
+def improved(robot: jaxik.Robot, goals: list[Any], what: str, seconds: tuple[float, ...] = (0.01, 0.1, 1.0)) -> dict[str, Any]:
+    """The mean share of a way's length, and of a motion's time, that is left after so many seconds more for one of them."""
+    plan = lambda goal, time: plan_motion(robot, goal.start, goal.q, scene=goal.scene, improve=time, improves=what)
     before = [(goal, moved) for goal in goals if (moved := plan(goal, None))]
     result: dict[str, Any] = {"motions": len(before), "over_bound": float(np.mean([m.length / m.bound for _, m in before]))}
+    result["over_least_duration"] = float(np.mean([m.trajectory.duration / m.least_duration for _, m in before]))
     for time in seconds:
         shorter = [(plan(goal, time), moved) for goal, moved in before]
         lengths = [after.length / moved.length for after, moved in shorter]
@@ -158,6 +160,8 @@ def improved(robot: jaxik.Robot, goals: list[Any], seconds: tuple[float, ...] = 
             "longest": float(np.max(lengths)),
             "over_bound": float(np.mean([after.length / after.bound for after, _ in shorter])),
             "duration": float(np.mean([after.trajectory.duration / moved.trajectory.duration for after, moved in shorter])),
+            "slowest": float(np.max([after.trajectory.duration / moved.trajectory.duration for after, moved in shorter])),
+            "over_least_duration": float(np.mean([after.trajectory.duration / after.least_duration for after, _ in shorter])),
         }
     return result
 

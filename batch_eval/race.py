@@ -35,6 +35,8 @@ PACKAGES = (
     "scikit-robot",
     "toppra",
     "adam-robotics",
+    "vamp-planner",
+    "ompl",
 )
 PLAIN = "the same function, plain jax.jit"  # kernels keep it as `__wrapped__`
 

@@ -30,6 +30,7 @@ from tables.motions import (
     statistics_markdown,
     trajectory_markdown,
 )
+from tables.planners import planners_markdown
 from tables.postures import (
     base_markdown,
     closed_forms_markdown,
@@ -42,6 +43,7 @@ from tables.postures import (
 )
 from tables.programs import programs_markdown
 from tables.teleoperation import teleoperation_markdown
+from tables.trees import trees_markdown
 from tables.words import duration
 
 HERE = Path(__file__).parent
@@ -68,6 +70,7 @@ TABLES = {
     "narrow_goals.json": narrow_markdown,
     "nine_dof.json": nine_dof_markdown,
     "peppers.json": peppers_markdown,
+    "planners_benchmark.json": planners_markdown,
     "planning_benchmark.json": planning_markdown,
     "predictive_benchmark.json": predictive_markdown,
     "predictive_statistics.json": statistics_markdown,
@@ -79,6 +82,7 @@ TABLES = {
     "torque_estimation.json": torque_markdown,
     "touch.json": touch_markdown,
     "trajectory_benchmark.json": trajectory_markdown,
+    "tree_benchmark.json": trees_markdown,
 }
 
 
@@ -125,16 +129,17 @@ def _of_postures() -> list[tuple[str, str, str]]:
 
 
 def _of_motions() -> list[tuple[str, str, str]]:
-    planning, peers = _result("planning_benchmark.json"), _result("sweep_benchmark.json")["eaik"]
-    motions, timing = planning["problems"], planning["timing"]
+    planners, peers = _result("planners_benchmark.json"), _result("sweep_benchmark.json")["eaik"]
+    timing = _result("planning_benchmark.json")["timing"]
     ahead = _result("predictive_benchmark.json")["real_time"][1]
-    planned = f"{motions['p50_ms']:.0f} ms, {motions['solved']} of {motions['problems']} solved"
+    planned = f"{1e-3 * planners['jaxik_us']['call']['p50']:.1f} ms, {planners['solved']} of {planners['problems']} solved"
+    vamp = f"VAMP, an untimed way, not proven: {duration(planners['vamp_both_us']['p50'])}"
     target, eaik = duration(1e6 / peers["jaxik_refine_5"]["per_second"]), duration(peers["eaik_with_limits_us"])
     sample = f"a control sample, nine joints, {ahead['horizon_s']:g} s ahead"
     casadi = f"CasADi's generated C: {ahead['casadi_p50_ms']:.1f} ms"
     toppra = f"TOPP-RA: {duration(timing['toppra_us_each'])}"
     return [
-        ("the same, a motion that is proven free and timed", planned, "-"),
+        ("the same, a motion that is proven free and timed", planned, vamp),
         ("the fastest timing of a path of seven joints", duration(timing["us_each"]), toppra),
         ("a target of a reach map over a slide, with proof", target, f"EAIK in a loop, no proof: {eaik}"),
         (sample, f"{ahead['p50_ms']:.1f} ms", casadi),

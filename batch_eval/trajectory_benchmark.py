@@ -71,6 +71,16 @@ def compared(found: dict[str, list[Any]]) -> dict[str, float]:
     }
 
 
+def together(robot: jaxik.Robot, goals: list[Any], found: list[Any]) -> dict[str, Any]:
+    """All problems in one call of the optimiser, each in its own scene, and whether the motions are those `found` alone."""
+    starts, ends, scenes = np.array([g.start for g in goals]), np.array([g.q for g in goals]), [g.scene for g in goals]
+    many, seconds = min(
+        (clocked(lambda: optimise_trajectory(robot, starts, ends, scene=scenes)) for _ in range(2)), key=lambda x: x[1]
+    )
+    same = [np.array_equal(a.trajectory.time, b.trajectory.time, equal_nan=True) for a, b in zip(many, found, strict=True)]
+    return {"solved": int(many.success.sum()), "ms_each": 1e3 * seconds / len(goals), "as_alone": int(sum(same))}
+
+
 def main() -> None:
     """Asks both; prints, and writes the JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -97,6 +107,8 @@ def main() -> None:
         seconds = np.min([[each[name][1] for each in one] for one in rounds[1:]], axis=0).tolist()
         result[name] = {"first_call_s": first[name]} | times(seconds) | outcome(robot, coal, goals, found[name])
         print(name, json.dumps(result[name]), flush=True)
+    result["scenes"] = together(robot, goals, found["optimise_trajectory"])
+    print("scenes", json.dumps(result["scenes"]))
     result["beside"] = compared(found)
     print(json.dumps(result["beside"]))
     given.out.write_text(json.dumps(result, indent=1) + "\n")

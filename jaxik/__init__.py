@@ -11,17 +11,23 @@ one configuration, and is for `jit`, `vmap` and `grad`; "Host driver." takes man
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from jaxik import analytic, collision, costs, dynamics, files, fitting, homotopy, ik, kinematics, optimise, spatial, spmd
-from jaxik.analytic import closed_form
-from jaxik.collision import Scene, clearance, collides, explain, make_scene, motion_clearance
-from jaxik.files import load, load_scene, load_targets, save
-from jaxik.fitting import FitOptions
-from jaxik.ik import IKOptions, implicit_ik, solve_ik
-from jaxik.kinematics import Robot, Task, forward_kinematics, jacobian
-from jaxik.reasons import LoadError, Reason
-from jaxik.spatial.rotations import pose
-from jaxik.spmd import ControlLoop, kernel
-from jaxik.version import __version__ as __version__
+from jaxik import sources as sources  # first: it notes when
+
+# isort: split
+from jaxik.garbage import uncollected as _uncollected
+
+with _uncollected():
+    from jaxik import analytic, collision, costs, dynamics, files, fitting, homotopy, ik, kinematics, optimise, spatial, spmd
+    from jaxik.analytic import closed_form
+    from jaxik.collision import Scene, clearance, collides, explain, make_scene, motion_clearance
+    from jaxik.files import load, load_scene, load_targets, save
+    from jaxik.fitting import FitOptions
+    from jaxik.ik import IKOptions, implicit_ik, solve_ik
+    from jaxik.kinematics import Robot, Task, forward_kinematics, jacobian
+    from jaxik.reasons import LoadError, Reason
+    from jaxik.spatial.rotations import pose
+    from jaxik.spmd import ControlLoop, kernel
+    from jaxik.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from jaxik import estimation, harvesting, identification, motions, planning, reach, sweeps, teleoperation, touch

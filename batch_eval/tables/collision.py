@@ -7,7 +7,7 @@ from typing import Any
 
 from tables.words import duration, ratio
 
-VAMP = (  # Thomason, Kingston and Kavraki 2024: C++ generated for each robot, which does not build here
+VAMP = (  # Thomason, Kingston and Kavraki 2024: C++ generated for each robot; its planner runs in planners_benchmark.py
     "VAMP plans a whole motion of the Panda among the same scenes in 35 us on one core of an AMD Ryzen 9 7950X, in "
     "104 iterations (medians; its resources/README.md)",
     "its point trees answer for a sphere in under 10 ns among thousands of points (its README)",

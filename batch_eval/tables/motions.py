@@ -117,6 +117,7 @@ def planning_markdown(result: dict[str, Any]) -> str:
             f"length of the way after 0.1 s, 1 s more (`improve`), {problems['improved']['motions']} motions",
             ", ".join(f"{100 * problems['improved'][k]['length']:.0f} %" for k in ("after_0.1_s", "after_1_s")),
         ),
+        *_sooner(problems),
         ("a process' first call, its slowest later one", first_calls(problems["fresh"]["compiling"])),
         ("the same, with the kernels on disk", first_calls(problems["fresh"]["kernels_on_disk"])),
         ("motion, median; if it stopped at its corners", f"{problems['duration_s']:.2f} s, {problems['stopping_s']:.2f} s"),
@@ -174,6 +175,14 @@ def _of_changes(made: dict[str, Any], others: dict[str, Any], parts: list[dict[s
     return told + f"without a search, {others['solved']} with one; `plan_motion` solves {others['plan_motion_solved']}."
 
 
+def _sooner(problems: dict[str, Any]) -> list[tuple[str, str]]:
+    """The times of motions that had more time to become sooner, where they were measured."""
+    if "sooner" not in problems:
+        return []
+    words = 'time of the motion after 0.1 s, 1 s more (`improves="time"`)'
+    return [(words, ", ".join(f"{100 * problems['sooner'][k]['duration']:.0f} %" for k in ("after_0.1_s", "after_1_s")))]
+
+
 def jerk_markdown(result: dict[str, Any]) -> str:
     """Motions with a limit of the jerk, a row for each."""
     lines = [
@@ -190,9 +199,16 @@ def jerk_markdown(result: dict[str, Any]) -> str:
             f"{row['to_without_jerk_mean']:.3f} (at most {row['to_without_jerk_most']:.2f}) | "
             f"at most {row['lines_to_ruckig_most']:.3f}; {row['lines_to_ruckig_on_lines_most']:.3f} where it stays on the "
             f"lines, {row['ruckig_on_lines']} of {row['solved']} | "
-            f"{row['ms_timing_p50']:.0f} ms; {row['ms_p50']:.0f} ms; {row['ms_without_p50']:.0f} ms |"
+            f"{row['ms_timing_p50']:.0f} ms; {row['ms_p50']:.0f} ms; {row['ms_without_p50']:.0f} ms{_in_one_call(row)} |"
         )
     return "\n".join(lines)
+
+
+def _in_one_call(row: dict[str, Any]) -> str:
+    """The times of motions that are asked for together, where they were measured."""
+    if "ms_batch" not in row:
+        return ""
+    return f"; in one call {row['ms_batch']:.1f} ms each, without jerk {row['ms_batch_without']:.1f}"
 
 
 def trajectory_markdown(result: dict[str, Any]) -> str:

@@ -48,8 +48,10 @@ class RobotArguments:
     """The link that the robot starts from, and targets are given in; the root unless given."""
     posture: tuple[str, ...] = ()
     """Where joints beside the chain are held, joint=value [rad, m]: a head, a gripper; 0 unless given."""
+    held: tuple[str, ...] = ()
+    """Where joints are held, those on the way to the tip, too, joint=value [rad, m]: then they are no joints of the robot."""
     srdf: Path | None = None
-    """A file that says which links are not checked against each other."""
+    """A file that says which links are not checked against each other, and names groups, states and end effectors."""
     ignore: Ignored = ()
     packages: tuple[Path, ...] = ()
     """Folders of ROS packages, or that hold such, beside those above the file and in ROS' environment."""
@@ -57,6 +59,7 @@ class RobotArguments:
     def loading(self) -> dict[str, Any]:
         """The arguments of `jaxik.load` among these."""
         more = {"posture": read_posture(self.posture), "ignore": ignored_pairs(self.ignore)}
+        more["held"] = read_posture(self.held, "--held")
         return {"tip": self.tip, "base": self.base, "srdf": self.srdf, "packages": self.packages, **more}
 
 
@@ -85,15 +88,16 @@ class SearchArguments(ShapedRobotArguments):
     """Another number, another (deterministic) search."""
 
 
-def read_posture(words: Sequence[str]) -> dict[str, float] | None:
-    """The `posture=` of `jaxik.load`; None where nothing is given, and what is held is named. Raises `ValueError`."""
+def read_posture(words: Sequence[str], flag: str = "--posture") -> dict[str, float] | None:
+    """The `posture=` of `jaxik.load`, or its `held=`; None where nothing is given, and what is held is named. Raises
+    `ValueError`."""
     found = {}
     for word in words:
         name, _, value = word.partition("=")
         try:
             found[name] = float(value)
         except ValueError:
-            raise ValueError(f"--posture {word}: write joint=value, such as panda_finger_joint1=0.04 [rad, m]") from None
+            raise ValueError(f"{flag} {word}: write joint=value, such as panda_finger_joint1=0.04 [rad, m]") from None
     return found or None
 
 

@@ -25,6 +25,7 @@ FLAGS = flags(
     rounds=int,
     timeout=float | None,
     improve=float | None,
+    improves=str,
     winding=float | None,
     escape=bool,
 )

@@ -82,7 +82,7 @@ def _in_the_way(result: jaxik.sweeps.SweepResult) -> str:
     study = result.study
     for variant in study.variants:
         if variant.start is not None:
-            near = jaxik.explain(variant.robot, study.scene or jaxik.make_scene(), np.array(variant.start), count=1)
+            near = jaxik.explain(variant.robot, study.scene_of(variant) or jaxik.make_scene(), np.array(variant.start), count=1)
             hits = [f"start: {contact}" for contact in near.contacts if contact.distance < study.margin]
             if hits:
                 return hits[0]

@@ -1,4 +1,4 @@
-"""Makes what is grasped part of the robot: it moves with the last joint, and is no obstacle any more."""
+"""Makes what is grasped part of the robot: it moves with its tip, and is no obstacle any more."""
 
 from __future__ import annotations
 
@@ -29,23 +29,24 @@ class Attached(NamedTuple):
 
 
 def attach(robot: Robot, scene: Scene, name: str, q: Float[Array, " n"], *, touches: Iterable[str] = ()) -> Attached:
-    """Makes the object `name`, as it lies when the robot is at `q` (n,) [rad, m], a link of that name which moves with the last
-    joint; and returns the scene without it (`Scene.without`: its name stays in `object_names`). Host.
+    """Makes the object `name`, as it lies when the robot is at `q` (n,) [rad, m], a link of that name which moves with the tip;
+    and returns the scene without it (`Scene.without`: its name stays in `object_names`). Host.
 
     Points become balls of the scene's radius; spheres and capsules stay what they are; boxes become boxes of the robot, which
     `spheres_per_box` spheres cover; a cylinder is carried as a capsule up to 42 % of its radius larger, the one about it that
     protrudes least; triangles stay surfaces, so what is wholly inside of a body that they enclose is not seen. The link is
-    checked against the scene and against the robot's other links, but for those that move with the last joint, too, and those
+    checked against the scene and against the robot's other links, but for those that move with the tip, too, and those
     that it `touches` (MoveIt's touch_links). It has no mass.
 
-    Raises `ValueError` for an object that is not there, has no obstacle or the name of a link, for links that the robot does
-    not have, for a q of another shape, and for what is traced.
+    With several tips `robot.with_tips(name)` chooses the one that grasps. Raises `ValueError` for an object that is
+    not there, has no obstacle or the name of a link, for links that the robot does not have, for a q of another shape, and for
+    what is traced.
     """
     check_kind("attach", "robot", robot, Robot)
     check_kind("attach", "scene", scene, Scene)
     check_known("attach", robot=robot, scene=scene)
     check_scene(scene)
-    last, link = robot.num_joints, len(robot.link_names)
+    last, link = robot.only_tip("attach"), len(robot.link_names)
     if name not in scene.object_names:
         raise ValueError(no_such("attach", "object", str(name), scene.object_names))
     if name in robot.link_names:
@@ -53,7 +54,7 @@ def attach(robot: Robot, scene: Scene, name: str, q: Float[Array, " n"], *, touc
     free = _links(robot, touches) | {i for i, joint in enumerate(robot.link_joint) if joint == last}
     posture = as_posture("attach", robot, q)
     frames = joint_frames(robot, posture.tolist(), Frame.of(robot.world_T_base)).joints
-    joint_T_world = np.linalg.inv(frames[-1].matrices)
+    joint_T_world = np.linalg.inv(frames[last - 1].matrices if last else Frame.of(robot.world_T_base).matrices)
     found = [*_carried(scene, name, joint_T_world, link)]
     if not (count := len(found)):
         raise ValueError(f"attach: '{shown(name)}' has no obstacle in '{scene.name}'; there is nothing to carry")

@@ -15,16 +15,15 @@ from functools import partial
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, check_known
 from jaxik.checks.options import as_count, check_finite, check_kind, nearest
 from jaxik.collision import distance
-from jaxik.collision.bvh import Grouped, decided_within, grouped, own_in, pair_tables, robot_trees
+from jaxik.collision.bvh import grouped, own_in, pair_tables
 from jaxik.collision.clearances import check_geometry
-from jaxik.collision.nearest_pair import Space
+from jaxik.collision.every_contact import Contact, every_contact
 from jaxik.collision.scene import FAR, Scene, check_scene, remembered
 from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.collision.shape_distances import Gap, along, depth_gap, nearest_points, obstacles_of, skeleton_gap
@@ -39,23 +38,6 @@ from jaxik.spmd.host import host_kernels
 BLOCK = 2**18  # distances at a time, which bounds the memory
 ASKED = 64  # of many robots, at most
 KNOWN = 64  # robots and margins of which a scene remembers what stands in it
-
-
-@dataclasses.dataclass(frozen=True)
-class Contact:
-    """A link of the robot and what it is near to, an object of the scene or an earlier link: the signed distance [m] (negative
-    is depth), and where on each of them they are nearest (3,) [m, world]: on their volumes, where a table knows them better."""
-
-    link: str
-    other: str
-    distance: float
-    point: np.ndarray
-    other_point: np.ndarray
-
-    def __str__(self) -> str:
-        what = "collide by" if self.distance < 0.0 else "are apart by"
-        at = ", ".join(f"{x:.3f}" for x in self.point)
-        return f"{self.link} and {self.other} {what} {1000.0 * abs(self.distance):.1f} mm at ({at})"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,8 +94,7 @@ def explain(robot: Robot, scene: Scene | None, q: Float[Array, " n"], *, count: 
     volumes = skeletons(robot, posture.tolist(), np.float64)
     with jax.enable_x64(True):
         if own_in(grouped(None, robot)):
-            every = sorted(_by_own_shape(robot, scene, posture), key=lambda contact: contact.distance)
-            contacts = tuple(contact for contact in every[:count] if contact.distance < below)
+            contacts = every_contact(robot, scene, posture[None], below)[0][:count]
         else:
             pairs = [*_with_scene(robot, scene, volumes), *_with_itself(robot, volumes, robot.self_pairs)]
             bounds = {table.links: float(table(posture)) for table in pair_tables(robot)}
@@ -130,46 +111,17 @@ def _overlapping(robot: Robot, q: np.ndarray, pairs: list[_Pairs]) -> list[tuple
     if not any(each.itself for _, each, *_ in found) or not own_in(grouped(None, robot)):
         return found
     apart = dataclasses.replace(robot, self_pairs=tuple(_left_out(robot)))
-    told = [contact for contact in _by_own_shape(apart, None, q) if contact.distance < 0.0]
-    crossing, links = {(contact.link, contact.other) for contact in told}, robot.link_names
+    told, links = every_contact(apart, None, q[None], 0.0)[0], robot.link_names
+    crossing = {(contact.link, contact.other) for contact in told}
     counts = lambda each, other, volume: not each.itself or (links[each.links[volume]], links[each.owners[other]]) in crossing
     return [row for row in found if counts(*row[1:])]
-
-
-def _by_own_shape(robot: Robot, scene: Scene | None, q: np.ndarray) -> Iterator[Contact]:
-    """Every pair of links, and of a link and an object, that counts, of a robot that has an own shape."""
-    names: tuple[str, ...] = ()
-    if scene is not None:  # what belongs to no object makes one
-        owners = tuple(tuple(int(o) if o >= 0 else len(scene.object_names) for o in own) for _, _, own in scene.by_kind())
-        names = (*scene.object_names, "the scene")
-        scene = dataclasses.replace(scene, object_names=names, removable=(*scene.removable, False), owners=owners)
-    own, links = robot_trees(robot), robot.link_names
-    if not len(own.other) and not names:  # a program of no pairs has no results
-        return
-    exactly = decided_within(grouped(scene, robot, by_object=True), lambda _: FAR)
-    apart, points, others = (x[0] for x in _every_contact(robot, len(names)).run(q[None], exactly, double=True))
-    pairs = [(own.links[p], links[own.links[o]]) for p, o in zip(own.part, own.other, strict=True)]
-    pairs += [(link, name) for link in own.links for name in names]
-    for (link, other), gap, mine, theirs in zip(pairs, apart, points, others, strict=True):
-        if gap < FAR / 2.0:
-            yield Contact(links[link], other, float(gap), mine, theirs)
-
-
-@host_kernels(1)
-def _every_contact(robot: Robot, objects: int, q: Any, around: Grouped) -> Any:
-    """The distance of each pair of parts, and of each part and object, and where the two are nearest."""
-    space = Space(robot, around, q, by_table=False)
-    told = lambda found: (found.distance, *space.nearest_points(found))
-    parts = [space.each_pair(told)] if len(space.trees.other) else []
-    parts += [space.each_object(objects, told)] if objects else []
-    return tuple(jnp.concatenate(columns) for columns in zip(*parts, strict=True))
 
 
 def _left_out(robot: Robot) -> list[tuple[int, int]]:
     """The pairs of links that move against each other, are no neighbours, and are not checked though they may touch."""
     number = {name: i for i, name in enumerate(robot.link_names)}
     pairs = [(number[a], number[b]) for u in robot.unchecked if u.reason in ("named", "touches") for a, b in [u.links]]
-    return [(a, b) for a, b in pairs if abs(robot.link_joint[a] - robot.link_joint[b]) > 1]
+    return [(a, b) for a, b in pairs if robot.tree.distance(robot.link_joint[a], robot.link_joint[b]) > 1]
 
 
 class _Pairs:

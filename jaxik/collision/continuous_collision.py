@@ -9,8 +9,9 @@ points move at a speed of at most v at t, and are accelerated by at most a anywh
 and its distance to what stands still has changed by no more than that. v is measured, by the twist of a ball about the link's
 skeleton; r_j, how far a point of the link ever is from joint j's axis, follows from the robot's lengths and the travel of its
 slides. A slide has 1 in place of r_j in V, `2 |dq_j| sum_{i<j} |dq_i|` in a, and is no i: it turns nothing. Two links move
-relative to each other by the joints between them alone. A bound that a table gives (`link_distance_table`) changes no faster
-than the table does anywhere.
+relative to each other by the joints between them alone: of two branches both links move against what carries both, and their
+speeds and accelerations add up. A joint that follows another moves by its factor. A bound that a table gives
+(`link_distance_table`) changes no faster than the table does anywhere.
 
 From what was measured the march takes one step that is safe; or twice as far, in the hope that what is measured there reaches
 back, and where it does not, the safe step follows.
@@ -20,6 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import operator
 from typing import Any, NamedTuple
 
 import jax
@@ -35,10 +37,10 @@ from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_
 from jaxik.collision.own_shape import CLOSE, told_below
 from jaxik.collision.scene import FAR, KINDS, Scene
 from jaxik.collision.volumes import box_spheres, xp_of
-from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.forward import joint_frames, row_rates, row_values
 from jaxik.kinematics.link_distance_table import PairTable
 from jaxik.kinematics.robot import Robot, as_configuration, solid_links
-from jaxik.spatial.algebra import ZERO, Frame, Vec3, traced
+from jaxik.spatial.algebra import ZERO, Frame, Vec3, constants, traced
 from jaxik.spmd import kernel
 
 SHALLOW = 0.005  # [m] of penetration, below which the bounds of tables may fall steeply
@@ -110,27 +112,29 @@ def motion_clearance(
             raise ValueError(f"{who}: resolution is {float(resolution):g}; it is above zero [m]")
     dtype = jnp.result_type(start, goal)  # of all, so that one kernel serves every caller
     each = (jnp.asarray(x, dtype) for x in (start, goal, margin, resolution, enough, size_of(scene)))
-    return _marched(robot, False, as_wide(grouped(scene, robot), start) or None, *each)
+    return _marched(robot, as_wide(grouped(scene, robot), start) or None, *each)
 
 
 def motion_collides(robot: Robot, start: Any, goal: Any, margin: Any, resolution: Any, size: Any, obstacles: Any) -> Any:
     """Whether a motion is not proven to keep the margin: `~motion_clearance(.., enough=margin).free`, known sooner, since any
     sample that touches ends it. The obstacles are grouped, their scene is of such a `size_of`; nothing is checked. Traced."""
-    return ~_marched(robot, True, obstacles or None, start, goal, margin, resolution, margin, size).free
+    return ~_advanced(True, robot, obstacles or None, start, goal, margin, resolution, margin, size).free
 
 
 @functools.lru_cache(maxsize=64)
 def joint_reaches(robot: Robot) -> np.ndarray:
     """How far a unit of each joint moves a point of the shapes' skeletons at most, inside the limits (n,) [m/rad, 1]. Host."""
-    furthest = np.max(np.abs(robot.finite_limits), axis=0)
-    travel = [furthest[j] if prismatic else 0.0 for j, prismatic in enumerate(robot.is_prismatic)]
-    speeds = lambda turned: [_bounds(robot, link, 0, turned, travel).speed for link in solid_links(robot)]
-    return np.array([float(np.max(speeds(list(one)))) for one in np.eye(robot.num_joints)])
+    ends = zip(*(row_values(robot, end.tolist()) for end in robot.finite_limits), strict=True)
+    travel = [max(map(abs, each)) if slides else 0.0 for each, slides in zip(ends, robot.tree.slides, strict=True)]
+    ways = {link: robot.tree.way(robot.link_joint[link]) for link in solid_links(robot)}
+    turned = lambda one: [abs(rate) for rate in row_rates(robot, list(one))]
+    speeds = lambda one: [_bounds(robot, link, way, turned(one), travel).speed for link, way in ways.items()]
+    return np.array([float(np.max(speeds(one))) for one in np.eye(robot.num_joints)])
 
 
-@kernel(models=2)
-def _marched(robot: Robot, first: bool, scene: Any, start: Any, goal: Any, *numbers: Any) -> MotionClearance:
-    found = _advanced(first, *map(stop_gradients, (robot, scene, start, goal, *numbers)))
+@kernel(models=1)
+def _marched(robot: Robot, scene: Any, start: Any, goal: Any, *numbers: Any) -> MotionClearance:
+    found = _advanced(False, *map(stop_gradients, (robot, scene, start, goal, *numbers)))
     nearest = start + found.nearest * (goal - start)
     return found._replace(clearance=_sloped(found.clearance, clearance(robot, scene, nearest)))
 
@@ -301,20 +305,26 @@ def _marched_on(measured: Any, sight: _Sight, before: _State) -> _State:
 # How far and how fast
 
 
+_Mover = tuple[int, tuple[int, ...]]  # a link and the joints that move it against what it may hit, from there on
+
+
 class _Row(NamedTuple):
-    """A link's distance to the scene, or to earlier links: what moves in it, each a link and the number of joints that do not
-    move it, since they move what it may hit, too."""
+    """A link's distance to the scene, or to earlier links: what moves in it, each one link or, of two branches, both."""
 
     link: int
-    moved: tuple[tuple[int, int], ...]
+    moved: tuple[tuple[_Mover, ...], ...]
 
 
 def _rows(robot: Robot) -> list[_Row]:
     """The rows of the later links of pairs; without any pairs, those of all links against the scene."""
-    joint = robot.link_joint
+    joint, tree = robot.link_joint, robot.tree
     if not robot.self_pairs:
-        return [_Row(link, ((link, 0),)) for link in solid_links(robot)]
-    moved = lambda a, b: (a, joint[b]) if joint[a] > joint[b] else (b, joint[a])
+        return [_Row(link, (((link, tree.way(joint[link])),),)) for link in solid_links(robot)]
+
+    def moved(a: int, b: int) -> tuple[_Mover, ...]:
+        first, second = tree.apart(joint[a], joint[b])
+        return tuple(each for each in ((a, first), (b, second)) if each[1]) or ((b, ()),)
+
     links = sorted({later for _, later in robot.self_pairs})
     return [_Row(link, tuple(sorted({moved(*pair) for pair in robot.self_pairs if pair[1] == link}))) for link in links]
 
@@ -336,27 +346,32 @@ class _Bounds(NamedTuple):
     acceleration: Any
     length: Any
 
+    def beside(self, other: _Bounds) -> _Bounds:
+        """The bounds of two links that move against each other, each against what carries both."""
+        return _Bounds(self.speed + other.speed, self.acceleration + other.acceleration, self.length + other.length)
 
-def _bounds(robot: Robot, link: int, other: int, turned: list[Any], travel: list[Any]) -> _Bounds:
-    """`turned`: |dq_j|, `travel`: how far a slide is ever out, 0 of what turns."""
+
+def _bounds(robot: Robot, link: int, way: tuple[int, ...], turned: list[Any], travel: list[Any]) -> _Bounds:
+    """The bounds of a link that the joints on a `way` move. `turned`: |dq_j|, `travel`: how far a slide is ever out, 0 of what
+    turns."""
     corners = _corners(robot, link)
     xp = xp_of(corners, robot.axis, robot.parent_T_joint)
     length = lambda rows: xp.max(xp.sqrt(xp.sum(xp.square(rows), axis=-1)))
     arms, ever = {}, 0.0  # from the joint's axis; from its origin
-    for j in reversed(range(other, robot.link_joint[link])):
-        at_end = j + 1 == robot.link_joint[link]
-        beyond = corners if at_end else xp.asarray(robot.parent_T_joint[j + 1, :3, 3])[None]
-        after = ever if at_end else ever + travel[j + 1]
+    for j, following in zip(reversed(way), (None, *reversed(way)), strict=False):
+        beyond = corners if following is None else xp.asarray(robot.parent_T_joint[following, :3, 3])[None]
+        after = ever if following is None else ever + travel[following]
         arms[j] = length(xp.cross(beyond, robot.axis[j])) + after
         ever = length(beyond) + after
     speed = acceleration = turning = 0.0
-    for j in sorted(arms):
-        if robot.is_prismatic[j]:
+    for j in way:
+        if robot.tree.slides[j]:
             speed = speed + turned[j]
             acceleration = acceleration + 2.0 * turned[j] * turning
         else:
-            speed = speed + turned[j] * arms[j]
-            acceleration = acceleration + turned[j] * arms[j] * (turned[j] + 2.0 * turning)
+            moved = turned[j] * arms[j]
+            speed = speed + moved
+            acceleration = acceleration + moved * (turned[j] + 2.0 * turning)
             turning = turning + turned[j]
     return _Bounds(speed, acceleration, ever)
 
@@ -365,8 +380,17 @@ def _row_bounds(robot: Robot, rows: list[_Row], start: Any, goal: Any) -> _Bound
     """The largest bounds of what moves in each row (k,)."""
     furthest = jnp.maximum(jnp.abs(start), jnp.abs(goal))
     turned = traced(jnp.abs(goal - start))
-    travel = [furthest[j] if prismatic else 0.0 for j, prismatic in enumerate(robot.is_prismatic)]
-    found = [[_bounds(robot, *each, turned, travel) for each in row.moved] for row in rows]
+    ways = robot.tree.slides
+    travel = [furthest[j] if slides else 0.0 for j, slides in enumerate(ways[: robot.num_joints])]
+    if robot.mimics:
+        ends = [row_values(robot, traced(q))[robot.num_joints :] for q in (start, goal)]
+        further = [jnp.maximum(jnp.abs(a), jnp.abs(b)) for a, b in zip(*ends, strict=True)]
+        travel += [x if slides else 0.0 for x, slides in zip(further, ways[robot.num_joints :], strict=True)]
+        turned = [jnp.abs(x) for x in row_rates(robot, turned)]
+    bounds = lambda movers: functools.reduce(
+        _Bounds.beside, [_bounds(robot, link, way, turned, travel) for link, way in movers]
+    )
+    found = [[bounds(movers) for movers in row.moved] for row in rows]
     return _Bounds(*(_most([[b[i] for b in each] for each in found], start.dtype) for i in range(3)))
 
 
@@ -392,22 +416,23 @@ def _speeds(robot: Robot, rows: list[_Row], q: Any, moved: Any) -> Any:
     """How fast the points of each row's link move at `q` at most, by fractions of the motion (k,): the twist of a ball about
     its skeleton, of all joints that move it relative to what it may hit."""
     root = Frame.of(robot.world_T_base, float(np.finfo(q.dtype).eps))
-    frames, rates = joint_frames(robot, traced(q), root, q.dtype), traced(moved)
-    found: dict[tuple[int, int], Any] = {}
-    for link in sorted({link for row in rows for link, _ in row.moved}):
-        corners = _corners(robot, link)
+    frames, rates = joint_frames(robot, traced(q), root, q.dtype), row_rates(robot, traced(moved))
+    found: dict[_Mover, Any] = {}
+    for link in sorted({link for row in rows for movers in row.moved for link, _ in movers}):
+        corners, way = _corners(robot, link), robot.tree.way(robot.link_joint[link])
         centre, radius = (x[0] for x in balls_of(corners[None], 0.0, xp_of(corners)))
         linear, angular = ZERO, ZERO
-        found[link, robot.link_joint[link]] = jnp.zeros((), q.dtype)
-        for j in reversed(range(robot.link_joint[link])):
+        place = (root, *frames.joints)[robot.link_joint[link]] @ Vec3(*constants(centre))
+        found[link, ()] = jnp.zeros((), q.dtype)
+        for first, j in reversed([*enumerate(way)]):
             axis, frame = frames.axes[j] * rates[j], frames.joints[j]
-            if robot.is_prismatic[j]:
+            if robot.tree.slides[j]:
                 linear = linear + axis
             else:
-                place = frames.joints[robot.link_joint[link] - 1] @ Vec3(*traced(centre))
                 linear, angular = linear + axis.cross(place - frame.translation), angular + axis
-            found[link, j] = jnp.sqrt(linear.dot(linear)) + radius * jnp.sqrt(angular.dot(angular))
-    return _most([[found[each] for each in row.moved] for row in rows], q.dtype)
+            found[link, way[first:]] = jnp.sqrt(linear.dot(linear)) + radius * jnp.sqrt(angular.dot(angular))
+    speed = lambda movers: functools.reduce(operator.add, [found[each] for each in movers])
+    return _most([[speed(movers) for movers in row.moved] for row in rows], q.dtype)
 
 
 def _most(rows: list[list[Any]], dtype: Any) -> Any:
@@ -418,7 +443,10 @@ def _most(rows: list[list[Any]], dtype: Any) -> Any:
 def _size(robot: Robot, length: Any, start: Any, goal: Any) -> Any:
     """The robot's part of the lengths that rounding is a share of [m]: its coordinates, and what a joint's value moves."""
     base = jnp.max(jnp.abs(jnp.asarray(robot.world_T_base[:3, 3], start.dtype)))
-    return base + length * (1.0 + jnp.sum(jnp.maximum(jnp.abs(start), jnp.abs(goal))))
+    most = jnp.sum(jnp.maximum(jnp.abs(start), jnp.abs(goal)))
+    for m in robot.mimics:
+        most = most + jnp.maximum(*(jnp.abs(m.factor * q[m.joint] + m.offset) for q in (start, goal)))
+    return base + length * (1.0 + most)
 
 
 def size_of(scene: Scene | None) -> Any:

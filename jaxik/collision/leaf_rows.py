@@ -42,7 +42,8 @@ def either(which: Any, a: Any, b: Any) -> Any:
 
 def entry(x: Any, i: Any) -> Any:
     """`x[i]` of an array (k, ...), i from 0 to k - 1: one dynamic slice, which JAX's indexing would first clip and wrap."""
-    return lax.dynamic_index_in_dim(jnp.asarray(x), i, keepdims=False)
+    x = x if isinstance(x, jax.Array) else jnp.asarray(x)
+    return lax.dynamic_index_in_dim(x, i, keepdims=False, allow_negative_indices=False)
 
 
 def row_at(columns: Any, i: Any) -> Any:
@@ -57,7 +58,8 @@ def count_of(columns: Any) -> int:
 
 def rows_from(columns: Any, i: Any, size: int) -> Any:
     """Block i of `size` rows each, of every array (k, ...) of a tree."""
-    return jax.tree_util.tree_map(lambda x: lax.dynamic_slice_in_dim(x, i * size, size), columns)
+    part = lambda x: lax.dynamic_slice_in_dim(x, i * size, size, allow_negative_indices=False)
+    return jax.tree_util.tree_map(part, columns)
 
 
 def as_columns(balls: Balls, dtype: Any) -> tuple[Vec3, Any]:

@@ -34,7 +34,7 @@ from jaxik.collision.shape_distances import (
     triangle_gap,
 )
 from jaxik.collision.solids import deepest
-from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.forward import joint_frames, joint_sums, moved_by
 from jaxik.kinematics.link_distance_table import interpolated
 from jaxik.kinematics.robot import Robot
 from jaxik.spatial.algebra import Frame, Vec3, stack, traced
@@ -68,7 +68,7 @@ class Space:
     def __init__(self, robot: Robot, around: Grouped, q: Any, by_table: bool = True):
         self.trees, self.obstacles, self.dtype = bvh.robot_trees(robot), bvh.obstacles_in(around), q.dtype
         self.by_table = by_table
-        self.prismatic, self.q, self.tabled = robot.is_prismatic, q, len(self.trees.tables.size) > 0
+        self.robot, self.q, self.tabled = robot, q, len(self.trees.tables.size) > 0
         bit = bvh.bits(robot.ignored)
         self.bits = np.array([bit.get(link, 0) for link in self.trees.links], np.int32) if bit else None
         root = Frame.of(robot.world_T_base, float(np.finfo(q.dtype).eps))
@@ -147,8 +147,15 @@ class Space:
         return self.mapped(len(self.trees.links) * count, find, then, True)
 
     def each_pair(self, then: Callable[[Found], Any]) -> Any:
-        """`then` of each pair of parts of a robot with an own shape, in the order of `RobotTrees.other`."""
-        return self.mapped(len(self.trees.other), lambda k, found: self._by_own_shape(k, k + 1, found), then, True)
+        """`then` of each pair of parts, in the order of `RobotTrees.other`."""
+
+        def find(k: Any, found: Found) -> Found:
+            if self.own is not None:
+                return self._by_own_shape(k, k + 1, found)
+            p = entry(self.trees.part, k)
+            return self._to_part(p, row_at(self.parts, p), k, found)
+
+        return self.mapped(len(self.trees.other), find, then, True)
 
     def _to_object(self, p: Any, b: Any, found: Found) -> Found:
         """Part p against branch b of the obstacles of each kind."""
@@ -332,8 +339,10 @@ class Space:
         rows = []
         for j, (axis, frame) in enumerate(zip(self.joints.axes, self.joints.joints, strict=True)):
             turns = axis.dot(moment - frame.translation.cross(force))
-            rise = axis.dot(force) if self.prismatic[j] else turns
-            rows.append(jnp.where(own > j, jnp.where(other > j, 0.0, rise), jnp.where(other > j, -rise, 0.0)))
+            rise = axis.dot(force) if self.robot.tree.slides[j] else turns
+            mine, theirs = moved_by(self.robot, own, j), moved_by(self.robot, other, j)
+            rows.append(jnp.where(mine, jnp.where(theirs, 0.0, rise), jnp.where(theirs, -rise, 0.0)))
+        rows = joint_sums(self.robot, rows)
         if not self.tabled:
             return rows
 

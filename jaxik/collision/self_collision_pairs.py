@@ -30,12 +30,12 @@ def self_collisions(
 ) -> SelfCollisions:
     """The pairs of links worth a check against each other.
 
-    Left out: links that move together or are neighbours on the chain, pairs in `disabled` (SRDF), pairs that are as far apart
+    Left out: links that move together or are neighbours in the tree, pairs in `disabled` (SRDF), pairs that are as far apart
     in all random configurations (fixed seed), of which no posture is better than another, and pairs that touch in at least
     95 % of them: their shapes overlap by design and would always report a collision. Links `aside`, behind joints beside the
     chain, are neighbours of none whose joint is another.
     """
-    names, between = robot.link_names, lambda a, b: abs(robot.link_joint[a] - robot.link_joint[b])
+    names, between = robot.link_names, lambda a, b: robot.tree.distance(robot.link_joint[a], robot.link_joint[b])
     least = lambda a, b: 1 if names[a] in aside or names[b] in aside else 2
     checked = lambda a, b: between(a, b) >= least(a, b) and frozenset((names[a], names[b])) not in disabled
     pairs = [pair for pair in itertools.combinations(solid_links(robot), 2) if checked(*pair)]

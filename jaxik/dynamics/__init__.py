@@ -1,6 +1,7 @@
 """Forces and torques of a robot: the recursions of rigid bodies, drives and their friction, and forces at points of a link."""
 
 from jaxik.dynamics.actuation import friction_band, friction_torque, motor_current, torque_of_current
+from jaxik.dynamics.mass_centre import centre_of_mass, centre_of_mass_jacobian
 from jaxik.dynamics.point_force import PointForce, material_point, point_jacobian, point_torque
 from jaxik.dynamics.recursions import (
     GRAVITY,
@@ -25,6 +26,8 @@ __all__ = [
     "Friction",
     "PointForce",
     "bias_torque",
+    "centre_of_mass",
+    "centre_of_mass_jacobian",
     "energy",
     "forward_dynamics",
     "friction_band",

@@ -18,15 +18,15 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, as_numbers, is_known, numbers
 from jaxik.checks.options import check_kind, shown
-from jaxik.kinematics.forward import JointFrames, joint_frames
+from jaxik.kinematics.forward import JointFrames, joint_frames, joint_sums, moved_by
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.spatial.algebra import BASE, Vec3, add, mul, stack, traced
 from jaxik.spmd import kernel
 
 
 class PointForce(NamedTuple):
-    """A `force` (3,) [N] on the robot at a `point` (3,) [m], both in the base frame, of the link that the first `joint` joints
-    move: `robot.link_joint` of that link, 0 for the base. Several forces have a leading axis."""
+    """A `force` (3,) [N] on the robot at a `point` (3,) [m], both in the base frame, of the link that moves with number `joint`
+    of the joints: `robot.link_joint` of that link, 0 for the base. Several forces have a leading axis."""
 
     joint: Any
     point: Any
@@ -47,7 +47,7 @@ def _material_point(robot: Robot, q: Any, joint: Any, point: Any) -> jax.Array:
     frames, joint, at, dtype = _placed("material_point", robot, q, joint, point)
     places = [frame @ at for frame in (BASE, *frames.joints)]
     place = places[-1]
-    for number in reversed(range(robot.num_joints)):
+    for number in reversed(range(len(robot.row_names))):
         place = Vec3(*(jnp.where(joint <= number, near, far) for near, far in zip(places[number], place, strict=True)))
     return stack(place, (3,), dtype)
 
@@ -114,16 +114,19 @@ def trusted(robot: Robot, forces: PointForce) -> tuple[jax.Array, jax.Array]:
     felt = jnp.any(forces.force != 0.0, axis=-1)  # NaN is felt
     finite = jnp.all(jnp.isfinite(forces.force) & jnp.isfinite(forces.point), axis=-1)
     joint = forces.joint
-    return felt, ~felt | finite & (joint >= 0) & (joint <= robot.num_joints) & (joint == jnp.floor(joint))
+    return felt, ~felt | finite & (joint >= 0) & (joint <= len(robot.row_names)) & (joint == jnp.floor(joint))
 
 
 def _columns(robot: Robot, frames: JointFrames, joint: Any, at: Vec3) -> list[Vec3]:
-    """The columns of the Jacobian of the point `at`."""
-    columns = []
-    for i, (prismatic, frame, axis) in enumerate(zip(robot.is_prismatic, frames.joints, frames.axes, strict=True)):
+    """The columns of the Jacobian of the point `at`, of what moves with row number `joint`."""
+    rows = []
+    for i, (prismatic, frame, axis) in enumerate(zip(robot.tree.slides, frames.joints, frames.axes, strict=True)):
         column = axis if prismatic else axis.cross(at - frame.translation)
-        columns.append(Vec3(*(mul(jnp.where(joint > i, 1.0, 0.0).astype(jnp.result_type(at.x)), x) for x in column)))
-    return columns
+        share = jnp.where(moved_by(robot, joint, i), 1.0, 0.0).astype(jnp.result_type(at.x))
+        rows.append(Vec3(*(mul(share, x) for x in column)))
+    return [
+        Vec3(*column) for column in zip(*(joint_sums(robot, component) for component in zip(*rows, strict=True)), strict=True)
+    ]
 
 
 def _placed(who: str, robot: Robot, q: Any, joint: Any, point: Any) -> tuple[JointFrames, Any, Vec3, Any]:
@@ -138,10 +141,14 @@ def _placed(who: str, robot: Robot, q: Any, joint: Any, point: Any) -> tuple[Joi
 def check_joint(who: str, robot: Robot, joint: Any) -> None:
     """Raises `ValueError` for a known `joint` that the robot does not have: outside of kernels, in which each is traced."""
     check_kind(who, "robot", robot, Robot)
-    moved = f"how many of the {robot.num_joints} joints of {robot.name} move the link, 0 to {robot.num_joints}"
+    rows = len(robot.row_names)
+    if robot.tree.serial:
+        moved = f"how many of the {rows} joints of {robot.name} move the link, 0 to {rows}"
+    else:
+        moved = f"the number of the joint of {robot.name} that moves the link, 0 (the base) to {rows}"
     if isinstance(joint, str):
         raise ValueError(f"{who}: joint is {joint}; it is {moved}: robot.link_joint[robot.link_names.index(link)]")
     if is_known(joint):
         given = numbers(f"{who}: joint", joint)
-        if not np.all((given >= 0) & (given <= robot.num_joints) & (given == np.round(given))):
+        if not np.all((given >= 0) & (given <= rows) & (given == np.round(given))):
             raise ValueError(f"{who}: joint is {shown(joint)}; it is {moved}")

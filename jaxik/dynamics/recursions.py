@@ -7,10 +7,14 @@ frame has the angular velocity omega, alpha = d omega / dt and the acceleration 
     a_i = R' (a_{i-1} + U_{i-1} r) + 2 omega_i x z qd + z qdd          z qd and z qdd of a sliding joint alone
     omega_i = R' omega_{i-1} + z qd,   alpha_i = R' alpha_{i-1} + omega_i x z qd + z qdd           of a turning joint
 
-and from tip to base, with mass m, first moments h = m c and second moments S = sum of m p p' about the origin of a body,
+where i - 1 stands for the joint that i hangs on, and from the tips to the base, with mass m, first moments h = m c and second
+moments S = sum of m p p' about the origin of a body, summed over the joints k that hang on i,
 
-    f_i = m a + U h - f_ext + R f_{i+1},     n_i = h x a + vee(U S - S U') - n_ext + R n_{i+1} + r x R f_{i+1}
+    f_i = m a + U h - f_ext + sum R_k f_k,     n_i = h x a + vee(U S - S U') - n_ext + sum (R_k n_k + r_k x R_k f_k)
     tau_i = z . n_i (turning) or z . f_i (sliding) + armature_i qdd_i
+
+A joint that follows another (mimic) by a factor adds its force times the factor to that one's, as M_G = G' M G has it, with
+q' = G q of all m joints.
 
 Everything is linear in m, h and S, as `regressor` has it; composite bodies give `mass_matrix`.
 
@@ -31,8 +35,9 @@ from jaxtyping import Float
 from jaxik.checks.arrays import Array, as_numbers, check_mass, is_known
 from jaxik.checks.options import check_kind, no_such
 from jaxik.dynamics.rigid_bodies import Moments, Placed, motions, placed
-from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.forward import joint_frames, joint_sums, row_factors, row_rates
 from jaxik.kinematics.robot import INERTIAL, Robot, as_configuration, need_bodies
+from jaxik.kinematics.tree import BASE_ROW
 from jaxik.spatial.algebra import ZERO, Frame, Scalar, Vec3, add, constants, mul, stack, sub, traced
 from jaxik.spmd import kernel
 
@@ -50,15 +55,15 @@ def inverse_dynamics(
     qdot: Float[Array, " n"],
     qddot: Float[Array, " n"],
     *,
-    wrenches: Float[Array, "n 6"] | None = None,
+    wrenches: Float[Array, "m 6"] | None = None,
     gravity: Any = GRAVITY,
 ) -> Float[jax.Array, " n"]:
     """Returns the torque of the drives for a motion, `tau = M qddot + b(q, qdot) + g(q) - J' wrenches` (n,) [Nm, N]. Traced.
 
-    `qdot` and `qddot` (n,) are in [rad/s, m/s] and [rad/s2, m/s2]. `wrenches` (n, 6) act on the body that moves with each
-    joint: force [N], then torque [Nm] about the origin of that joint's frame, both in base axes (`wrench_on` makes them).
-    `gravity` (3,) [m/s2] is in world axes; `robot.world_T_base` says how the base hangs in it. The torque has the rotors
-    (`robot.armature`) in it, but not friction.
+    `qdot` and `qddot` (n,) are in [rad/s, m/s] and [rad/s2, m/s2]. `wrenches` (m, 6) act on the body that moves with each
+    joint, those of joints that follow others last: force [N], then torque [Nm] about the origin of that joint's frame, both in
+    base axes (`wrench_on` makes them). `gravity` (3,) [m/s2] is in world axes; `robot.world_T_base` says how the base hangs in
+    it. The torque has the rotors (`robot.armature`) in it, but not friction.
 
     Raises `ValueError` for other shapes, and for a robot without bodies or with bodies that cannot be. Source: Luh, Walker,
     Paul 1980; Schuetz 2017, eq. (3.8)-(3.10).
@@ -86,7 +91,7 @@ def _inverse(who: str, robot: Robot, q: Any, qdot: Any, qddot: Any, wrenches: An
     qs, dtype = traced(q), q.dtype
     given = _rates("qdot", robot, qdot, dtype), _rates("qddot", robot, qddot, dtype)
     around = _in_joints(robot, qs, wrenches, dtype)
-    joints, bodies = placed(robot, qs, dtype), _bodies(who, robot)
+    joints, bodies = placed(robot, qs, dtype), moments(who, robot)
     torques = _torques(robot, joints, bodies, *given, _base_gravity(robot, gravity, dtype), around)
     return stack(torques, (robot.num_joints,), dtype)
 
@@ -101,19 +106,26 @@ def _torques(
     wrenches: Sequence[tuple[Vec3, Vec3]],
 ) -> list[Scalar]:
     """Inverse dynamics of scalars, gravity in base axes, wrenches in those of the joints."""
-    moved = motions(joints, qdot, qddot, gravity)
-    force, torque, torques = ZERO, ZERO, []
-    for i in reversed(range(len(joints))):
+    tree = robot.tree
+    moved = motions(tree, joints, row_rates(robot, qdot), row_rates(robot, qddot), gravity)
+    hanging = dict.fromkeys((BASE_ROW, *tree.order), (ZERO, ZERO))  # what hangs on each joint pulls at it
+    felt: dict[int, Scalar] = {}
+    for i in reversed(tree.order):
+        force, torque = hanging[i]
         (own_force, own_torque), (pull, twist) = bodies[i].inertial(moved[i]), wrenches[i]
         force, torque = force + own_force - pull, torque + own_torque - twist
-        torques.append(add(joints[i].along(force, torque), mul(_rotor(robot, i), qddot[i])))
+        felt[i] = joints[i].along(force, torque)
+        if i < len(qddot):
+            felt[i] = add(felt[i], mul(_rotor(robot, i), qddot[i]))
         force, torque = joints[i].carried(force, torque)
-    return torques[::-1]
+        before = hanging[tree.parents[i]]
+        hanging[tree.parents[i]] = before[0] + force, before[1] + torque
+    return joint_sums(robot, [felt[i] for i in range(len(joints))])
 
 
 def _rotor(robot: Robot, joint: int) -> Scalar:
-    """The inertia of a rotor as its joint feels it [kg m2, kg]."""
-    return constants(robot.armature[joint])[0]
+    """The inertia of a rotor as its joint feels it [kg m2, kg]; what follows a joint has none."""
+    return constants(robot.armature[joint])[0] if joint < robot.num_joints else 0.0
 
 
 def _rates(what: str, robot: Robot, given: Any, dtype: Any) -> list[Scalar]:
@@ -130,16 +142,17 @@ def _base_gravity(robot: Robot, gravity: Any, dtype: Any) -> Vec3:
 
 
 def _in_joints(robot: Robot, q: Sequence[Scalar], wrenches: Any, dtype: Any) -> list[tuple[Vec3, Vec3]]:
-    """Wrenches (n, 6) in base axes, in those of the joints."""
+    """Wrenches (m, 6) in base axes, in those of the joints."""
+    count = len(robot.row_names)
     if wrenches is None:
-        return [(ZERO, ZERO)] * len(q)
-    rows = as_numbers("wrenches", wrenches, (len(q), 6)).astype(dtype)
+        return [(ZERO, ZERO)] * count
+    rows = as_numbers("wrenches", wrenches, (count, 6)).astype(dtype)
     turns = [frame.rotation.T for frame in joint_frames(robot, q, dtype=dtype).joints]
     return [(t @ Vec3(*traced(row[:3])), t @ Vec3(*traced(row[3:]))) for t, row in zip(turns, rows, strict=True)]
 
 
-def wrench_on(robot: Robot, q: Float[Array, " n"], link: str, force: Any, point: Any) -> Float[jax.Array, "n 6"]:
-    """Returns the `wrenches` (n, 6) of a `force` (3,) [N] that acts on a link at a `point` (3,) [m], both in the base frame.
+def wrench_on(robot: Robot, q: Float[Array, " n"], link: str, force: Any, point: Any) -> Float[jax.Array, "m 6"]:
+    """Returns the `wrenches` (m, 6) of a `force` (3,) [N] that acts on a link at a `point` (3,) [m], both in the base frame.
     Traced.
 
     They are 0 for a link that does not move. Raises `ValueError` for a name that is none of `robot.link_names`.
@@ -155,11 +168,11 @@ def _wrench(robot: Robot, joint: int, q: Any, force: Any, point: Any) -> jax.Arr
     """The wrenches of a force on the body of a joint, counted from 1; 0 is the base."""
     q = as_configuration(robot, q)
     pull, at = (Vec3(*traced(as_numbers(k, v, (3,)).astype(q.dtype))) for k, v in (("force", force), ("point", point)))
-    rows = [(0.0,) * 6 for _ in range(robot.num_joints)]
+    rows = [(0.0,) * 6 for _ in robot.row_names]
     if joint:
         origin = joint_frames(robot, traced(q), dtype=q.dtype).joints[joint - 1].translation
         rows[joint - 1] = (*pull, *(at - origin).cross(pull))
-    return stack([e for row in rows for e in row], (robot.num_joints, 6), q.dtype)
+    return stack([e for row in rows for e in row], (len(rows), 6), q.dtype)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -175,24 +188,36 @@ def mass_matrix(robot: Robot, q: Float[Array, " n"]) -> Float[jax.Array, "n n"]:
     sec. 6.2 (composite rigid bodies).
     """
     q = as_configuration(robot, q)
-    rows = _mass_matrix(robot, placed(robot, traced(q), q.dtype), _bodies("mass_matrix", robot))
+    rows = _mass_matrix(robot, placed(robot, traced(q), q.dtype), moments("mass_matrix", robot))
     return stack([rows[max(i, j)][min(i, j)] for i in range(q.size) for j in range(q.size)], (q.size, q.size), q.dtype)
 
 
 def _mass_matrix(robot: Robot, joints: Sequence[Placed], bodies: Sequence[Moments]) -> list[list[Scalar]]:
-    """The rows of its lower half."""
-    rows: list[list[Scalar]] = []
-    carried = bodies[-1]
-    for j in reversed(range(len(joints))):
-        if rows:
-            carried = bodies[j] + carried.before(joints[j + 1])
-        force, torque = carried.momentum(*joints[j].unit)
-        row = [add(joints[j].along(force, torque), _rotor(robot, j))]
-        for i in reversed(range(j)):
-            force, torque = joints[i + 1].carried(force, torque)
-            row.append(joints[i].along(force, torque))
-        rows.append(row[::-1])
-    return rows[::-1]
+    """The rows of its lower half; 0.0, which folds, where no joint moves what both joints move."""
+    tree, factors = robot.tree, row_factors(robot)
+    rows: list[list[Scalar]] = [[0.0] * (j + 1) for j in range(robot.num_joints)]
+    carried = dict(enumerate(bodies))  # each with all that hangs on it
+    for j in reversed(tree.order):
+        force, torque = carried[j].momentum(*joints[j].unit)
+        along = add(joints[j].along(force, torque), _rotor(robot, j))
+        of = tree.joints[j]
+        rows[of][of] = add(rows[of][of], _scaled(mul(factors[j], factors[j]), along))
+        below = j
+        for i in reversed(tree.ways[j][:-1]):
+            force, torque = joints[below].carried(force, torque)
+            first, last = sorted((of, tree.joints[i]))
+            coupled = _scaled(mul(factors[i], factors[j]), joints[i].along(force, torque))
+            twice = mul(2.0, coupled) if first == last else coupled  # both of one joint
+            rows[last][first] = add(rows[last][first], twice)
+            below = i
+        if (parent := tree.parents[j]) != BASE_ROW:
+            carried[parent] = carried[parent] + carried[j].before(joints[j])
+    return rows
+
+
+def _scaled(factor: Scalar, x: Scalar) -> Scalar:
+    """The product; by 1, of what follows no other joint, to the last bit, a constant's sign too."""
+    return x if isinstance(factor, float) and factor == 1.0 else mul(factor, x)
 
 
 @kernel(models=1)
@@ -202,18 +227,18 @@ def forward_dynamics(
     qdot: Float[Array, " n"],
     torque: Float[Array, " n"],
     *,
-    wrenches: Float[Array, "n 6"] | None = None,
+    wrenches: Float[Array, "m 6"] | None = None,
     gravity: Any = GRAVITY,
 ) -> Float[jax.Array, " n"]:
     """Returns the accelerations `qddot` (n,) [rad/s2, m/s2] that the drives' `torque` (n,) [Nm, N] gives. Traced.
 
-    The inverse of `inverse_dynamics`, with the same arguments and errors. M is factorised from the tip as L' D L; for six to
-    nine joints that is less work than articulated bodies. A joint that turns nothing (point masses on its axis, and no rotor)
-    has infinite acceleration.
+    The inverse of `inverse_dynamics`, with the same arguments and errors. M is factorised from the tips as L' D L, whose zeros
+    between branches cost nothing; for six to nine joints that is less work than articulated bodies. A joint that turns nothing
+    (point masses on its axis, and no rotor) has infinite acceleration.
     """
     q = as_configuration(robot, q)
     qs, dtype = traced(q), q.dtype
-    joints, bodies = placed(robot, qs, dtype), _bodies("forward_dynamics", robot)
+    joints, bodies = placed(robot, qs, dtype), moments("forward_dynamics", robot)
     rates, rest = _rates("qdot", robot, qdot, dtype), _rates("qddot", robot, None, dtype)
     around = _in_joints(robot, qs, wrenches, dtype)
     bias = _torques(robot, joints, bodies, rates, rest, _base_gravity(robot, gravity, dtype), around)
@@ -261,12 +286,13 @@ def energy(robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], *, gra
     The gradient of `potential` by q is `gravity_torque`. Raises `ValueError` as `inverse_dynamics` does.
     """
     q = as_configuration(robot, q)
-    rates, bodies = _rates("qdot", robot, qdot, q.dtype), _bodies("energy", robot)
-    velocity, omega, twice = ZERO, ZERO, jnp.zeros((), q.dtype)
-    for i, joint in enumerate(placed(robot, traced(q), q.dtype)):
-        velocity, omega = joint.handed_on(velocity, omega)
-        along, about = joint.unit
-        velocity, omega = velocity + along * rates[i], omega + about * rates[i]
+    rates, bodies = row_rates(robot, _rates("qdot", robot, qdot, q.dtype)), moments("energy", robot)
+    moving, twice = {BASE_ROW: (ZERO, ZERO)}, jnp.zeros((), q.dtype)
+    joints = placed(robot, traced(q), q.dtype)
+    for i in robot.tree.order:
+        velocity, omega = joints[i].handed_on(*moving[robot.tree.parents[i]])
+        along, about = joints[i].unit
+        velocity, omega = moving[i] = velocity + along * rates[i], omega + about * rates[i]
         linear, angular = bodies[i].momentum(velocity, omega)
         rotor = mul(_rotor(robot, i), mul(rates[i], rates[i]))
         twice = add(twice, add(rotor, add(velocity.dot(linear), omega.dot(angular))))
@@ -284,25 +310,29 @@ def energy(robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], *, gra
 @kernel(models=1)
 def regressor(
     robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], qddot: Float[Array, " n"], *, gravity: Any = GRAVITY
-) -> Float[jax.Array, "n 10*n"]:
-    """Returns Y in `inverse_dynamics = Y(q, qdot, qddot) parameters + armature qddot`, which is linear in the bodies. Traced.
+) -> Float[jax.Array, "n p"]:
+    """Returns Y (n, 10 m) in `inverse_dynamics = Y(q, qdot, qddot) parameters + armature qddot`, linear in the bodies.
+    Traced.
 
     It needs no bodies. Raises `ValueError` for other shapes. Source: Atkeson, An, Hollerbach 1986.
     """
     q = as_configuration(robot, q)
-    n, dtype = q.size, q.dtype
+    n, dtype, tree, factors = q.size, q.dtype, robot.tree, row_factors(robot)
     joints = placed(robot, traced(q), dtype)
-    given = _rates("qdot", robot, qdot, dtype), _rates("qddot", robot, qddot, dtype)
-    rows: list[list[Scalar]] = [[0.0] * (INERTIAL * n) for _ in range(n)]
-    units: list[tuple[Vec3, Vec3]] = []  # the motion of this frame by one unit of each joint before
-    for j, motion in enumerate(motions(joints, *given, _base_gravity(robot, gravity, dtype))):
-        units = [joints[j].handed_on(*unit) for unit in units] + [joints[j].unit]
-        for row, unit in zip(rows, units, strict=False):
-            row[INERTIAL * j : INERTIAL * (j + 1)] = motion.work(*unit)
-    return stack([e for row in rows for e in row], (n, INERTIAL * n), dtype)
+    rates, more = (row_rates(robot, _rates(name, robot, x, dtype)) for name, x in (("qdot", qdot), ("qddot", qddot)))
+    moved = motions(tree, joints, rates, more, _base_gravity(robot, gravity, dtype))
+    rows: list[list[Scalar]] = [[0.0] * (INERTIAL * len(joints)) for _ in range(n)]
+    units: dict[int, list[tuple[Vec3, Vec3]]] = {BASE_ROW: []}  # the motion of a frame by one unit of each joint before
+    for j in tree.order:
+        units[j] = [joints[j].handed_on(*unit) for unit in units[tree.parents[j]]] + [joints[j].unit]
+        for i, unit in zip(tree.ways[j], units[j], strict=True):
+            row, first = rows[tree.joints[i]], INERTIAL * j
+            for k, work in enumerate(moved[j].work(*unit), first):
+                row[k] = add(row[k], _scaled(factors[i], work))
+    return stack([e for row in rows for e in row], (n, INERTIAL * len(joints)), dtype)
 
 
-def _bodies(who: str, robot: Robot) -> list[Moments]:
+def moments(who: str, robot: Robot) -> list[Moments]:
     """Returns the bodies' moments. Raises `ValueError` for a robot without bodies, and for bodies that cannot be; traced ones
     are taken as they are."""
     need_bodies(who, robot)
@@ -313,12 +343,18 @@ def _bodies(who: str, robot: Robot) -> list[Moments]:
 
 def _judge(who: str, robot: Robot) -> None:
     """Raises `ValueError` for bodies and rotors that cannot be, and for a joint that has nothing to move."""
-    driven = False
-    for name, body, rotor in reversed([*zip(robot.joint_names, robot.bodies, robot.armature, strict=True)]):
+    driven: set[int] = set()
+    tree, names, rotors = robot.tree, robot.row_names, [*robot.armature, *(0.0 for _ in robot.mimics)]
+    for i in reversed(tree.order):
+        name, body, rotor = names[i], robot.bodies[i], rotors[i]
         what = f"{who}: what joint '{name}' of {robot.name} moves"
         if not 0.0 <= rotor < np.inf:
             raise ValueError(f"{who}: the armature of joint '{name}' is {rotor:g}; allowed: finite numbers >= 0")
         check_mass(what, body.mass, body.com, body.inertia)
-        driven |= bool(body.mass > 0.0 or np.any(body.inertia) or rotor > 0.0)
-        if not driven:
+        heavy = bool(body.mass > 0.0 or np.any(body.inertia))
+        driven |= {j for j in tree.ways[i] if heavy} | {j for j in (i,) if rotor > 0.0}
+    moved = {tree.joints[i] for i in driven}
+    for i in reversed(tree.order):
+        if tree.joints[i] not in moved:
+            what = f"{who}: what joint '{names[i]}' of {robot.name} moves"
             raise ValueError(f"{what} has no mass, nor has anything beyond it; write a mass, or an armature of the joint")

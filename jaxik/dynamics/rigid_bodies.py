@@ -1,7 +1,7 @@
 """The algebra of rigid bodies on scalars (equations: `jaxik.dynamics.recursions`).
 
 A direction goes from a joint's axes into the next one's in two steps: by the rotation in the file, mostly right angles, which
-folds, and by the joint's own.
+folds, and by the joint's own. Joints that follow others (mimic) are joints like the others here, m in all.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxik.kinematics.forward import row_values
 from jaxik.kinematics.robot import Body, Robot
+from jaxik.kinematics.tree import BASE_ROW, Tree
 from jaxik.spatial.algebra import IDENTITY, ZERO, Frame, Rot3, Scalar, Vec3, add, constants, mul, sincos, sub
 
 
@@ -104,12 +106,12 @@ def _symmetric(*summed: Rot3) -> Rot3:
 
 
 def placed(robot: Robot, q: Sequence[Scalar], dtype: Any) -> list[Placed]:
-    """The joints at n scalars `q`."""
-    snap, joints = float(np.finfo(dtype).eps), []
-    for i, slides in enumerate(robot.is_prismatic):
+    """The m joints at n scalars `q`."""
+    snap, joints, values = float(np.finfo(dtype).eps), [], row_values(robot, q)
+    for i, slides in enumerate(robot.tree.slides):
         fixed, axis = Frame.of(robot.parent_T_joint[i], snap), Vec3(*constants(robot.axis[i], snap))
-        turned = IDENTITY if slides else Rot3.about(axis, *sincos(q[i]))
-        origin = fixed.translation + fixed.rotation @ (axis * q[i]) if slides else fixed.translation
+        turned = IDENTITY if slides else Rot3.about(axis, *sincos(values[i]))
+        origin = fixed.translation + fixed.rotation @ (axis * values[i]) if slides else fixed.translation
         joints.append(Placed(fixed.rotation, turned, origin, axis, slides))
     return joints
 
@@ -146,18 +148,20 @@ class FrameMotion(NamedTuple):
         return velocity.dot(a), *first, sub(half, xx), off(xy, yx), sub(half, yy), off(xz, zx), off(yz, zy), sub(half, zz)
 
 
-def motions(joints: Sequence[Placed], qdot: Sequence[Scalar], qddot: Sequence[Scalar], gravity: Vec3) -> list[FrameMotion]:
-    """Returns the motion of each joint's frame; `gravity` is in base axes."""
-    omega, alpha, found = ZERO, ZERO, []
-    before = FrameMotion.of(ZERO, ZERO, -gravity)
-    for joint, rate, more in zip(joints, qdot, qddot, strict=True):
+def motions(
+    tree: Tree, joints: Sequence[Placed], qdot: Sequence[Scalar], qddot: Sequence[Scalar], gravity: Vec3
+) -> list[FrameMotion]:
+    """Returns the motion of each of m joints' frames, of their rates and accelerations; `gravity` is in base axes."""
+    found = {BASE_ROW: FrameMotion.of(ZERO, ZERO, -gravity)}
+    turning = {BASE_ROW: (ZERO, ZERO)}
+    for i in tree.order:
+        joint, before, (omega, alpha) = joints[i], found[tree.parents[i]], turning[tree.parents[i]]
         acceleration = joint.into(before.acceleration + before.spin @ joint.origin)
-        omega, alpha, velocity = joint.into(omega), joint.into(alpha), joint.axis * rate
+        omega, alpha, velocity = joint.into(omega), joint.into(alpha), joint.axis * qdot[i]
         if joint.slides:
-            acceleration = acceleration + omega.cross(velocity) * 2.0 + joint.axis * more
+            acceleration = acceleration + omega.cross(velocity) * 2.0 + joint.axis * qddot[i]
         else:
-            alpha = alpha + omega.cross(velocity) + joint.axis * more
+            alpha = alpha + omega.cross(velocity) + joint.axis * qddot[i]
             omega = omega + velocity
-        before = FrameMotion.of(omega, alpha, acceleration)
-        found.append(before)
-    return found
+        turning[i], found[i] = (omega, alpha), FrameMotion.of(omega, alpha, acceleration)
+    return [found[i] for i in range(len(joints))]

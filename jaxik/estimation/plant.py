@@ -23,7 +23,7 @@ from jaxik.dynamics.actuation import friction_torque, motor_current
 from jaxik.dynamics.recursions import GRAVITY, inverse_dynamics, mass_matrix
 from jaxik.kinematics.drive import numbers_of
 from jaxik.kinematics.motion import Motion
-from jaxik.kinematics.robot import Robot, need_drives
+from jaxik.kinematics.robot import Robot, need_drives, need_serial
 from jaxik.options import Options, anything, count, number
 from jaxik.planning import Trajectory
 from jaxik.pytree import Pytree
@@ -90,7 +90,7 @@ def mujoco_model(robot: Robot, dt: float = 1e-3, gravity: Any = GRAVITY) -> Any:
     Raises `ValueError` for a robot without bodies, and one that names the extra where MuJoCo is not installed.
     """
     mujoco = optional("plant: a simulation", "mujoco", "mjcf")
-    check_kind("plant", "robot", robot, Robot)
+    need_serial("plant", robot)
     if len(robot.bodies) != robot.num_joints:
         raise ValueError(f"plant: {robot.name} has masses for {len(robot.bodies)} of {robot.num_joints} joints; give all")
     spec = mujoco.MjSpec()

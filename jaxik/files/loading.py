@@ -20,6 +20,8 @@ from jaxik.files.mjcf import load_mjcf
 from jaxik.files.robot_builder import Notes
 from jaxik.files.robot_files import read_robot
 from jaxik.files.robot_toml import load_toml, read_toml
+from jaxik.files.srdf import read_srdf
+from jaxik.files.tree_ways import AskedTips, Tips
 from jaxik.files.unchecked_pairs import asked_pairs, disabled_pairs, ignored
 from jaxik.files.urdf import load_urdf
 from jaxik.fitting.capsules import FitOptions
@@ -63,8 +65,10 @@ class LoadOptions(Options, who="load"):
     )
     srdf: Any = anything(
         default=None,
-        words="a file whose `disable_collisions` pairs are not checked, nor those of its `disable_default_collisions` links "
-        "but for its `enable_collisions`. (What an MJCF's `exclude`, contype and conaffinity keep apart is not, either.)",
+        words="a file whose groups of joints, group states and end effectors have names in the robot (`robot.group`, "
+        "`robot.state`, `tip=`), and whose `disable_collisions` pairs are not checked, nor those of its "
+        "`disable_default_collisions` links but for its `enable_collisions`. (What an MJCF's `exclude`, contype and "
+        "conaffinity keep apart is not, either.)",
     )
     ignore: Any = anything(
         default=(),
@@ -78,6 +82,13 @@ class LoadOptions(Options, who="load"):
         '`{"panda_finger_joint1": 0.04}`; others are at 0 (MJCF: the model\'s qpos0), or the limit that is nearest. Mimic '
         "joints follow; one that a joint of the chain drives stands where that is 0. A warning names those whose links have "
         "shapes, unless a posture is given: `{}` says that all of them are right so",
+    )
+    held: Any = anything(
+        default=None,
+        unit="rad, m",
+        words="where joints are held, be they beside the robot's ways to its tips or on them, by their names: "
+        '`{"torso_lift_joint": 0.2}`; one that is held is not in q. It says of joints beside what `posture` says, which knows '
+        "no others",
     )
     packages: Any = anything(
         default=(),
@@ -96,23 +107,30 @@ class LoadOptions(Options, who="load"):
         if self.exact and (not self.meshes or self.fit is None):
             mend = "write meshes=True, and leave fit=None out; a model that was saved exact is so without"
             raise ValueError(f"load: exact is True, but no mesh is fitted; {mend}")
-        if self.posture is not None:
-            named = isinstance(self.posture, Mapping) and all(isinstance(name, str) for name in self.posture)
-            if not named:
-                raise ValueError(f'load: posture is {shown(self.posture)}; write {{"joint": value}} [rad, m]')
-            check_finite("load", **{f"posture['{shown(name)}']": value for name, value in self.posture.items()})
+        for what, given in (("posture", self.posture), ("held", self.held)):
+            if given is None:
+                continue
+            if not (isinstance(given, Mapping) and all(isinstance(name, str) for name in given)):
+                raise ValueError(f'load: {what} is {shown(given)}; write {{"joint": value}} [rad, m]')
+            check_finite("load", **{f"{what}['{shown(name)}']": value for name, value in given.items()})
 
 
 def load(
-    path: str | Path, *, tip: str | None = None, base: str | None = None, options: LoadOptions | None = None, **changes: Any
+    path: str | Path, *, tip: Tips = None, base: str | None = None, options: LoadOptions | None = None, **changes: Any
 ) -> Robot:
-    """Reads the serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`. Host.
+    """Reads the robot of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`. Host.
 
-    `tip` and `base` name links (bodies or a site in MJCF); without them the robot runs from the root to the only leaf.
+    `tip` and `base` name links (bodies or a site in MJCF); without them the robot runs from the root to the only leaf that is
+    no finger. One `tip` is a serial chain; a list, `tip=["left_hand", "right_hand"]`, is the tree of the ways to them, its
+    joints in their order, each tip's pose a row. A tip may be an end effector's or a group's name in `srdf`. `base="planar"`
+    stands the root on a base that moves, by x, y [m] and heading [rad]; `base="floating"` by x, y, z, yaw, pitch, roll: three
+    or six joints before the others, whose parent is a new link "world". A joint that another drives (`<mimic>`, an equality of
+    joints in MJCF) follows it by factor and offset, and is not in q.
+
     `options` and `changes`, fields of `LoadOptions` by name, say how the file is read: `load("arm.urdf", meshes=True)`.
 
-    All that hangs on the chain belongs to it, with shapes and masses; joints beside it are held (`posture`). What is above
-    `base` is left out, and what flies freely in an MJCF. Damping and dry friction of a URDF's and an MJCF's joints are in
+    All that hangs on the robot belongs to it, with shapes and masses; joints beside it are held (`held`, `posture`). What is
+    above `base` is left out, and what flies freely in an MJCF. Damping and dry friction of a URDF's and an MJCF's joints are in
     `drives`, which are ideal otherwise: a current is a torque. A warning, one line each, tells what a file has besides that the
     robot has not (springs, gravity of its own), and what it is likely to mean otherwise (limits in degrees).
 
@@ -130,7 +148,12 @@ def load(
     for line in notes.lines():
         warnings.warn(f"{shown(robot.name)}: {line}", stacklevel=2)
     robot = dataclasses.replace(robot, ignored=tuple(dict.fromkeys(robot.ignored + beside)))
-    if asked.posture is None and not robot.unread_meshes and (told := stance.told(_solid(robot, shapes))):
+    if (
+        asked.posture is None
+        and asked.held is None
+        and not robot.unread_meshes
+        and (told := stance.told(_solid(robot, shapes)))
+    ):
         warnings.warn(f"{shown(robot.name)}: {told}", stacklevel=2)
     if asked.exact and not shapes and not robot.surfaces:
         mend = "leave it out: its shapes are what is measured"
@@ -165,9 +188,11 @@ class _Read:
     stance: Posture
 
     @staticmethod
-    def of(path: str | Path, tip: str | None, base: str | None, asked: LoadOptions, fitted: bool) -> _Read:
+    def of(path: str | Path, tip: Tips, base: str | None, asked: LoadOptions, fitted: bool) -> _Read:
         """Reads a file; meshes are shapes if they are `fitted`, else boxes."""
-        path, notes, stance = locate(path), Notes(), Posture(dict(asked.posture or {}))
+        path, notes, stance = locate(path), Notes(), Posture(dict(asked.posture or {}), dict(asked.held or {}))
+        semantics = read_srdf(asked.srdf)
+        tips = AskedTips.of(tip, semantics.tips)
         tool = None if asked.tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", asked.tool), np.float64)
         meshes = Meshes(asked.meshes, asked.meshes and fitted, as_packages("load", asked.packages))
         kind, readers = path.suffix.lower(), {".urdf": load_urdf, ".xml": load_mjcf, ".mjcf": load_mjcf}
@@ -178,12 +203,15 @@ class _Read:
                 robot = _saved(path, read_robot(model), tip, base, tool, stance)
                 saved = robot.self_pairs
             else:
-                robot = load_toml(model, tip, base, tool, stance)
+                robot = load_toml(model, tips, base, tool, stance)
         elif kind in readers:
-            robot = readers[kind](path, tip, base, tool, meshes, stance, notes)
+            robot = readers[kind](path, tips, base, tool, meshes, stance, notes)
         else:
             expand = f"; expand a xacro: xacro {path.name} > {path.name.partition('.')[0]}.urdf" if kind == ".xacro" else ""
             raise LoadError(path, "file", f"ending '{kind}'", f"allowed: .urdf, .xml (MJCF), .toml{expand}")
+        if semantics.path is not None:
+            groups, states = semantics.of(robot, notes.above)
+            robot = dataclasses.replace(robot, groups=groups, states=states)
         return _Read(path, robot, [] if saved is not None else meshes.shapes(robot), saved, notes, stance)
 
     def pairs(self, asked: LoadOptions) -> tuple[Any, Any]:
@@ -199,12 +227,14 @@ def _solid(robot: Robot, shapes: Iterable[Shape]) -> set[str]:
     return {robot.link_names[i] for i in {*solid_links(robot), *(shape.link for shape in shapes)}}
 
 
-def _saved(path: Path, robot: Robot, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Robot:
+def _saved(path: Path, robot: Robot, tip: Tips, base: str | None, tool: np.ndarray | None, posture: Posture) -> Robot:
     """A robot that `save` wrote has its base and its tip, and what it carries stands still."""
     if tip is not None or base is not None:
         raise LoadError(path, f"tip '{tip}', base '{base}'", "are fixed in a saved robot", "leave them out, or use robot.part")
-    if posture.given:
-        where = f"posture '{next(iter(posture.given))}'"
+    for what, given in (("posture", posture.given), ("held", posture.fixed)):
+        if not given:
+            continue
+        where = f"{what} '{next(iter(given))}'"
         raise LoadError(path, where, "is fixed in a saved robot", "load the robot's own file")
     return robot if tool is None else robot.with_tool(tool)
 
@@ -248,7 +278,7 @@ def _some(words: Iterable[str]) -> str:
 def fit_report(
     path: str | Path,
     *,
-    tip: str | None = None,
+    tip: Tips = None,
     base: str | None = None,
     options: LoadOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -269,7 +299,7 @@ def fit_report(
 
 
 def link_meshes(
-    path: str | Path, *, tip: str | None = None, base: str | None = None, options: LoadOptions | None = None, **changes: Any
+    path: str | Path, *, tip: Tips = None, base: str | None = None, options: LoadOptions | None = None, **changes: Any
 ) -> list[Shape]:
     """Returns the collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look
     at: for `view.Page`. `options` and `changes` are those of `load`. Host."""

@@ -19,12 +19,25 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from jaxik.checks.options import among, optional
+from jaxik.checks.options import among, optional, shown
 from jaxik.dynamics.recursions import GRAVITY
 from jaxik.files.documents import parse
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, home, resolve
-from jaxik.files.robot_builder import Joint, Link, Notes, all_driven, assemble, displacement, listed, rubbing, way_up
+from jaxik.files.robot_builder import (
+    MOVING_BASES,
+    Joint,
+    Link,
+    Notes,
+    Tip,
+    all_driven,
+    assemble_tree,
+    displacement,
+    listed,
+    moving_base,
+    rubbing,
+)
+from jaxik.files.tree_ways import AskedTips, Ways, ways_of
 from jaxik.fitting.links import Shape
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
@@ -40,45 +53,49 @@ FREE = 0  # of MuJoCo's joint types
 
 
 def load_mjcf(
-    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture, notes: Notes
+    path: Path, tip: AskedTips, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture, notes: Notes
 ) -> Robot:
-    """The serial chain from body `base` (the world) to body or site `tip` (the only leaf), and what it carries, `held` in a
-    posture; bodies that fly freely are no part of it."""
+    """The tree from body `base` (the world) to bodies or sites `tip` (the only leaf), and what it carries, `held` in a posture;
+    bodies that fly freely are no part of it, but for the one that a base moves."""
     model, unread = _compiled(path, meshes, notes)
     names = [model.body(i).name or f"body{i}" for i in range(model.nbody)]
     notes.links = tuple(names)
     above = {names[i]: names[model.body_parentid[i]] for i in range(1, model.nbody)}
-    sites = {model.site(i).name: model.site(i) for i in range(model.nsite)}
-    if tip not in (*names, *sites, None):
-        raise LoadError(path, f"tip '{tip}'", "no such body or site", among(str(tip), names, "bodies"))
-    tip_T_site = np.eye(4)
-    if tip in sites and tip not in names:
-        tip_T_site, tip = frame(sites[tip].pos, from_wxyz(sites[tip].quat)), names[sites[tip].bodyid[0]]
-    *run, start = (names.index(name) for name in way_up(path, names, above, tip, base, "body"))
-    moved = {start: 0}
-    for i in run[::-1]:
-        moved[i] = moved[model.body_parentid[i]] + int(model.body_jntnum[i])
-    joints = [j for i in run[::-1] for j in _body_joints(path, model, i, names[i])]
-    all_driven(joints)
-    _note_forces(model, run, names, notes)
+    moves = base if base in MOVING_BASES and base not in names else None
+    tips = _tips(path, model, names, tip)
+    bodies = None if tip.names is None else tuple(dict.fromkeys(each.link for each in tips))
+    fingers = _fingers(model, names) if bodies is None else ()
+    ways = ways_of(path, names, above, AskedTips(bodies), None if moves else base, "body", fingers)
+    if moves:
+        ways, root_T = _below_world(path, model, names, ways, moves)
+    start, run = names.index(ways.root), [names.index(name) for name in ways.below]
     aside = _aside(model, {start, *run})
-    for i in aside:
-        moved[i] = moved[model.body_parentid[i]]
+    joints = [pair for i in run for pair in _pairs(path, model, i, names)]
+    _note_forces(model, run, names, notes)
+    pairs = held.settle(path, joints, [pair for i in aside for pair in _pairs(path, model, i, names, beside=True)], tip.several)
+    kept = [start, *run, *aside]
+    moved = _moved(names, kept, pairs)
     check_loops(path, model, names, moved, notes)
     note_contacts(model, names, moved, notes)
-    carried = held.hold(path, joints, [j for i in aside for j in _carried(path, model, i, names)])
     solid = solid_geoms(model)
-    if meshes.read and not solid[np.isin(model.geom_bodyid, [*moved])].any():
+    if meshes.read and not solid[np.isin(model.geom_bodyid, kept)].any():
         notes.add("none of its geoms touches anything, by their contype and conaffinity: give them bits that meet")
-    planes = np.flatnonzero(solid & (model.geom_type == PLANE) & np.isin(model.geom_bodyid, [*moved]))
+    planes = np.flatnonzero(solid & (model.geom_type == PLANE) & np.isin(model.geom_bodyid, kept))
     if len(planes):
         told = "a plane is left out, for the robot's shapes have an end; put a floor into the scene"
         notes.add(told, *(model.geom(i).name or f"geom{i}" for i in planes))
-    links = {names[i]: _link(model, i, names[i], meshes, solid) for i in moved}
+    links = {names[i]: _link(model, i, names[i], meshes, solid) for i in kept}
     for name in {*unread} & {*links}:
         links[name].meshes += unread[name]
-    tool = tip_T_site if tool is None else tip_T_site @ tool
-    return assemble(path, path.stem, names[start], joints, links, tool, carried=carried)
+    first = names[start]
+    if moves:
+        pairs = [*moving_base(moves, first, (*names, *(_label(model, i) for i in range(model.njnt))), root_T), *pairs]
+        first = pairs[0][0]
+    all_driven(joint for _, joint in pairs)
+    notes.above = {joint.child: (joint.name, parent) for parent, joint in pairs}
+    tips = tips or [Tip(name, name, np.eye(4)) for name in ways.tips]
+    tips = [each._replace(link_T_tip=each.link_T_tip if tool is None else each.link_T_tip @ tool) for each in tips]
+    return assemble_tree(path, path.stem, first, pairs, links, tips if tip.several else tips[0])
 
 
 def _note_forces(model: Any, run: list[int], names: list[str], notes: Notes) -> None:
@@ -146,10 +163,67 @@ def _aside(model: Any, robot: set[int]) -> list[int]:
     return [body for body in reached if body not in robot]
 
 
-def _carried(path: Path, model: Any, body: int, names: list[str]) -> list[tuple[str, Joint]]:
-    """The joints of a body beside the chain, each with the link before it."""
-    run = _body_joints(path, model, body, names[body], beside=True)
+def _pairs(path: Path, model: Any, body: int, names: list[str], beside: bool = False) -> list[tuple[str, Joint]]:
+    """The joints of a body, each with the link before it."""
+    run = _body_joints(path, model, body, names[body], beside)
     return [*zip((names[int(model.body_parentid[body])], *(j.child for j in run)), run, strict=False)]
+
+
+def _tips(path: Path, model: Any, names: list[str], asked: AskedTips) -> list[Tip]:
+    """The bodies, and the sites on them, that are asked for; none where nobody asks."""
+    sites = {model.site(i).name: model.site(i) for i in range(model.nsite)}
+    tips = []
+    for own in asked.names or ():
+        name = asked.link(own, (*names, *sites))
+        if name not in (*names, *sites):
+            raise LoadError(path, f"tip '{shown(name)}'", "no such body or site", among(name, names, "bodies"))
+        site = None if name in names else sites[name]
+        place = np.eye(4) if site is None else frame(site.pos, from_wxyz(site.quat))
+        tips.append(Tip(own, name if site is None else names[site.bodyid[0]], place))
+    return tips
+
+
+def _fingers(model: Any, names: list[str]) -> set[str]:
+    """The bodies behind joints that an equality couples to others: a hand's, which nobody means by a tip."""
+    coupled = _coupled(model)
+    joints = {*coupled, *(int(model.eq_obj2id[row]) for row in coupled.values())} - {-1}
+    found = {int(model.jnt_bodyid[joint]) for joint in joints}
+    for body in range(1, model.nbody):  # parents come first
+        if int(model.body_parentid[body]) in found:
+            found.add(body)
+    return {names[body] for body in found}
+
+
+def _below_world(path: Path, model: Any, names: list[str], ways: Ways, moves: str) -> tuple[Ways, np.ndarray]:
+    """The ways from the body that stands in the world, which a base is to move, and how it stands where that is at 0: as in its
+    file. Of one that is free in its file a plane keeps height and turn, six joints nothing: they are its pose."""
+    trunk = names.index(ways.below[0])
+    first, count = int(model.body_jntadr[trunk]), int(model.body_jntnum[trunk])
+    if any(model.jnt_type[i] != FREE for i in range(first, first + count)):
+        mend = f"leave base= out: {', '.join(_label(model, i) for i in range(first, first + count))} move it"
+        raise LoadError(path, f"base '{moves}'", f"body '{names[trunk]}' has joints of its own in the world", mend)
+    stands = frame(model.body_pos[trunk], from_wxyz(model.body_quat[trunk]))
+    if count:
+        stands = (
+            np.eye(4) if moves == "floating" else frame([0.0, 0.0, model.body_pos[trunk][2]]) @ frame(rotation=stands[:3, :3])
+        )
+    return ways._replace(root=ways.below[0], below=ways.below[1:]), stands
+
+
+Moved = Mapping[int, tuple[str, ...]]  # the joints that move each body, from the base on
+
+
+def _moved(names: list[str], kept: Sequence[int], pairs: Sequence[tuple[str, Joint]]) -> Moved:
+    """The joints that move each of the bodies that are `kept`, the first of which is the base."""
+    found: dict[str, tuple[str, ...]] = {names[kept[0]]: ()}
+    for parent, joint in pairs:
+        found[joint.child] = found[parent] if joint.type == "fixed" else (*found[parent], joint.name)
+    return {body: found[names[body]] for body in kept}
+
+
+def _between(a: tuple[str, ...], b: tuple[str, ...]) -> int:
+    """How many joints are between two bodies."""
+    return len({*a} ^ {*b})
 
 
 def _check_files(path: Path, model: Path, seen: set[Path], below: Path | None = None, copies: float = 1.0) -> None:
@@ -193,8 +267,8 @@ def _copied(model: Path, document: Element, copies: float) -> dict[Element, floa
 
 
 def _body_joints(path: Path, model: Any, body: int, name: str, beside: bool = False) -> list[Joint]:
-    """A body's joints as a run; a hinge turns about its anchor, so the body's own frame is offset from it. Those beside the
-    robot may follow others; a ball among them stays as it is."""
+    """A body's joints as a run; a hinge turns about its anchor, so the body's own frame is offset from it. A ball among those
+    beside the robot stays as it is."""
     kinds = {2: "prismatic", 3: "revolute"}
     coupled = _coupled(model)
     pending = frame(model.body_pos[body], from_wxyz(model.body_quat[body]))
@@ -207,11 +281,8 @@ def _body_joints(path: Path, model: Any, body: int, name: str, beside: bool = Fa
             run.append(Joint(label, "fixed", pending, f"{name}/{label}", stands="ball"))
             pending = np.eye(4)
             continue
-        if i in coupled and not beside:
-            mend = "drive it as a joint of its own: remove the equality"
-            raise LoadError(path, f"joint '{label}'", "an equality couples it to another (mimic)", mend)
         if kind is None:
-            mend = "allowed: hinge, slide; pass base= (--base) to start below it"
+            mend = 'allowed: hinge, slide; pass base= (--base) to start below it, or base="floating"'
             raise LoadError(path, f"joint '{label}'", "a free or ball joint on the chain", mend)
         limited, anchor, axis = bool(joint.limited[0]), frame(joint.pos), np.asarray(joint.axis, dtype=np.float64)
         lower, upper = (float(x) for x in joint.range) if limited else (-np.inf, np.inf)
@@ -299,8 +370,8 @@ def _link(model: Any, body: int, name: str, meshes: Meshes, solid: np.ndarray) -
 # Loops, and what touches
 
 
-def check_loops(path: Path, model: Any, names: Sequence[str], moved: Mapping[int, int], notes: Notes) -> None:
-    """Refuse an active equality between what different joints of the robot move (`moved`: how many are before a body).
+def check_loops(path: Path, model: Any, names: Sequence[str], moved: Moved, notes: Notes) -> None:
+    """Refuse an active equality between what different joints of the robot move (`moved`: which are before a body).
 
     What flies freely, or is led by hand (mocap), follows the robot; that it is tied to it is told.
     """
@@ -312,7 +383,7 @@ def check_loops(path: Path, model: Any, names: Sequence[str], moved: Mapping[int
         kind, ends = int(model.eq_type[row]), (int(model.eq_obj1id[row]), int(model.eq_obj2id[row]))
         if kind == tendons:
             for bodies in (_tied(model, end) for end in ends if end >= 0):
-                _refuse_loop(path, "tendon", [names[i] for i in bodies], {moved.get(i, 0) for i in bodies})
+                _refuse_loop(path, "tendon", [names[i] for i in bodies], {moved.get(i, ()) for i in bodies})
         elif kind in kinds:
             sites = model.eq_objtype[row] == mujoco.mjtObj.mjOBJ_SITE
             bodies = [int(model.site_bodyid[end]) if sites else end for end in ends]
@@ -320,13 +391,13 @@ def check_loops(path: Path, model: Any, names: Sequence[str], moved: Mapping[int
             if loose and not {*bodies}.isdisjoint(moved):
                 notes.add(f"a {kinds[kind]} ties the body to the robot; it flies freely, and is left out", names[loose[0]])
             elif not loose:
-                _refuse_loop(path, kinds[kind], [names[i] for i in bodies], {moved.get(i, 0) for i in bodies})
+                _refuse_loop(path, kinds[kind], [names[i] for i in bodies], {moved.get(i, ()) for i in bodies})
 
 
-def _refuse_loop(path: Path, kind: str, bodies: Sequence[str], moved: set[int]) -> None:
+def _refuse_loop(path: Path, kind: str, bodies: Sequence[str], moved: set[tuple[str, ...]]) -> None:
     if len(moved) > 1:
         between = " and ".join(f"'{name}'" for name in dict.fromkeys((bodies[0], bodies[-1])))
-        mend = "remove it, or pass base=, tip= (--base, --tip) of a chain that is open"
+        mend = "cut it: remove it, or pass base=, tip= (--base, --tip) of a robot that is open"
         raise LoadError(path, f"equality of {between}", f"a {kind} closes a loop on the chain", mend)
 
 
@@ -365,7 +436,7 @@ def solid_geoms(model: Any) -> np.ndarray:
     return np.asarray(solid)
 
 
-def note_contacts(model: Any, names: Sequence[str], moved: Mapping[int, int], notes: Notes) -> None:
+def note_contacts(model: Any, names: Sequence[str], moved: Moved, notes: Notes) -> None:
     """Note the pairs of bodies that MuJoCo never checks, of those that `moved` has; and tell of those whose bits do not meet,
     for bits are also given to make a simulation fast."""
     paired = {frozenset(model.geom_bodyid[[i, j]].tolist()) for i, j in zip(model.pair_geom1, model.pair_geom2, strict=True)}
@@ -373,7 +444,7 @@ def note_contacts(model: Any, names: Sequence[str], moved: Mapping[int, int], no
     unmet = {frozenset(pair) for pair in _unmet(model, [*moved])} - paired - excluded
     notes.apart |= {frozenset(names[i] for i in pair) for pair in (excluded - paired) | unmet}
     # neighbours are checked in no robot
-    lost = [" and ".join(names[i] for i in (a, b)) for a, b in sorted(map(sorted, unmet)) if abs(moved[a] - moved[b]) > 1]
+    lost = [" and ".join(names[i] for i in (a, b)) for a, b in sorted(map(sorted, unmet)) if _between(moved[a], moved[b]) > 1]
     if lost:
         told = f"links are not checked against each other, as contype and conaffinity say: {listed(lost, 1)}"
         notes.add(f"{told}; give their geoms bits that meet where this is not meant")

@@ -1,4 +1,4 @@
-"""Makes a robot of a run of joints from base to tip, which every robot file becomes; checks it in one place.
+"""Makes a robot of its joints, each with the link before it, which every robot file becomes; checks it in one place.
 
 `Notes` collects what a file says and its robot cannot hold, a line of warning each; and the links that it lets pass.
 """
@@ -7,34 +7,36 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from jaxik.checks.options import among, shown
+from jaxik.checks.options import shown
 from jaxik.kinematics.drive import Drive, Friction
-from jaxik.kinematics.robot import Body, JointType, Robot
+from jaxik.kinematics.robot import Body, Robot
 from jaxik.kinematics.shapes import Box, Volume
+from jaxik.kinematics.tree import JointType, Mimic
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import about, frame
 
 NAMED = 4  # in one line
-LEAVES = 40  # that a line names
 COLUMNS = ("axis", "lower", "upper", "velocity", "effort", "armature")  # numbers of a joint that a robot has, too
 JOINT_TYPES = (*get_args(JointType), "fixed")
 
 
 @dataclasses.dataclass
 class Notes:
-    """Lines to tell (`told`: what is so, of which joints or links), pairs of links that the file does not check (`apart`), and
-    all links that it has, those that are no part of the chain, too."""
+    """Lines to tell (`told`: what is so, of which joints or links), pairs of links that the file does not check (`apart`), all
+    links that it has, those that are no part of the robot, too; and of each link the joint and the link `above` it."""
 
     told: dict[str, list[str]] = dataclasses.field(default_factory=dict)
     apart: set[frozenset[str]] = dataclasses.field(default_factory=set)
     links: tuple[str, ...] = ()
+    above: dict[str, tuple[str, str]] = dataclasses.field(default_factory=dict)
 
     def add(self, told: str, *names: str) -> None:
         """Adds that something is so of more names."""
@@ -70,6 +72,7 @@ class Joint:
     default: float = 0.0  # where it stands beside a robot [rad, m]
     drive: Drive | None = None
     mimic: tuple[str, Polynomial] | None = None  # the joint that drives it, and how its value follows
+    follows: tuple[str, float, float] | None = None  # of a robot's own: that it follows a joint, by a factor and an offset
     stands: str = ""  # a type that no robot has, of a joint beside one, which is fixed where it stands
 
     @property
@@ -96,28 +99,12 @@ def unique(file: Path, kind: str, names: Iterable[str]) -> None:
             raise LoadError(file, f"{kind} '{name}'", "the name stands twice", "give each its own")
 
 
-def way_up(
-    file: Path, names: Sequence[str], above: Mapping[str, str], tip: str | None, base: str | None, one: str = "link"
-) -> list[str]:
-    """The links from `tip` (the only leaf) up to `base` (the root), of a tree that says what is `above` each link."""
-    many = {"link": "links", "body": "bodies"}[one]
-    if tip is None:
-        leaves = sorted(set(names) - set(above.values()))
-        if len(leaves) != 1:
-            choice = f"one of: {listed(leaves, LEAVES)}" if leaves else f"the {many} form a loop"
-            raise LoadError(file, "tip", f"is not given and the tree has {len(leaves)} leaves", f"pass tip= (--tip), {choice}")
-        tip = leaves[0]
-    for what, name in (("tip", tip), ("base", base)):
-        if name not in (*names, None):
-            raise LoadError(file, f"{what} '{name}'", f"no such {one}", among(str(name), names, many))
-    way = [tip]
-    while way[-1] != base and way[-1] in above:
-        way.append(above[way[-1]])
-        if len(way) > len(names):
-            raise LoadError(file, f"{one} '{way[-1]}'", "the joints form a loop", "a robot needs a tree")
-    if base not in (way[-1], None):
-        raise LoadError(file, f"tip '{tip}'", f"is not below base '{base}'", f"its root is '{way[-1]}'")
-    return way
+class Tip(NamedTuple):
+    """A tip of a robot: the name that it is asked by, the link that it is on, and its frame there (4, 4)."""
+
+    name: str
+    link: str
+    link_T_tip: np.ndarray
 
 
 def assemble(
@@ -128,52 +115,121 @@ def assemble(
     links: dict[str, Link],
     tool: np.ndarray | None = None,
     mount: np.ndarray | None = None,
-    carried: Sequence[tuple[str, Joint]] = (),
 ) -> Robot:
-    """The robot of `joints`, in order from `base`; fixed joints fuse into the frames of the next movable one.
+    """The serial robot of `joints`, in order from `base`, with its tip at the last one's link, or at the `tool` there."""
+    pairs = [*zip([base, *(joint.child for joint in joints)], joints, strict=False)]
+    tip = Tip("", joints[-1].child if joints else base, np.eye(4) if tool is None else tool)
+    return assemble_tree(file, name, base, pairs, links, tip, mount)
 
-    `carried` are fixed joints, each with its parent link, that lead aside: what rides on the chain without being a part of it.
+
+def assemble_tree(
+    file: Path,
+    name: str,
+    base: str,
+    pairs: Sequence[tuple[str, Joint]],
+    links: dict[str, Link],
+    tips: Tip | Sequence[Tip],
+    mount: np.ndarray | None = None,
+) -> Robot:
+    """The robot of joints, each with its parent link and after it; fixed joints fuse into the frames of what they carry.
+
+    Joints that follow others (`follows`) are none of its own. With a single tip, rather than a list of them, it has one pose.
     """
-    every = [*joints, *(j for _, j in carried)]
-    unique(file, "joint", (j.name for j in joints))
+    every = [joint for _, joint in pairs]
     unique(file, "link", (base, *(j.child for j in every)))
     for joint in every:
         _finite(file, joint.element, "origin", joint.parent_T_joint)
-    movable = [checked(file, j) for j in joints if j.type != "fixed"]
-    if not movable:
+    moving = [j for j in every if j.type != "fixed"]
+    unique(file, "joint", (j.name for j in moving))
+    free, follow = ([checked(file, j) for j in moving if (j.follows is None) == own] for own in (True, False))
+    if not free:
         raise LoadError(file, f"chain from '{base}'", "has no movable joint", "choose another base or tip")
-    pending, frames = np.eye(4), []
-    places = {base: (pending, 0)}  # of each link: in the frame of the joint that moves it, and how many are before it
-    for joint in joints:
-        pending = pending @ joint.parent_T_joint
-        if joint.type != "fixed":
-            frames.append(pending)
-            pending = np.eye(4)
-        places[joint.child] = pending, len(frames)
-    for parent, joint in carried:
+    number = {j.name: i for i, j in enumerate([*free, *follow], 1)}
+    places, frames, parents = {base: (np.eye(4), 0)}, [np.eye(4)] * len(number), [-1] * len(number)
+    for parent, joint in pairs:  # the place of each link: in the frame of the joint that moves it, and which that is
         offset, count = places[parent]
-        places[joint.child] = offset @ joint.parent_T_joint, count
+        offset = offset @ joint.parent_T_joint
+        if joint.type != "fixed":
+            row = number[joint.name] - 1
+            frames[row], parents[row] = offset, count - 1
+            offset, count = np.eye(4), row + 1
+        places[joint.child] = offset, count
     names, (offsets, counts) = tuple(places), zip(*places.values(), strict=True)
     content = [links.get(name, Link()) for name in names]
     each = [*enumerate(zip(content, offsets, strict=True))]
-    stacked: dict[str, Any] = {k: np.array([getattr(j, k) for j in movable]) for k in COLUMNS}
+    mimics = tuple(_mimic(joint, free) for joint in follow)
+    stacked: dict[str, Any] = {k: np.array([getattr(j, k) for j in free]) for k in COLUMNS if k != "axis"}
+    several = [tips] if isinstance(tips, Tip) else [*tips]
+    placed = [(places[tip.link][0] @ tip.link_T_tip, places[tip.link][1]) for tip in several]
     return Robot(
         name=name,
-        joint_names=tuple(j.name for j in movable),
-        joint_types=tuple(j.type for j in movable),  # type: ignore[misc]
+        joint_names=tuple(j.name for j in free),
+        joint_types=tuple(j.type for j in free),  # type: ignore[misc]
         link_names=names,
         link_joint=counts,
         parent_T_joint=np.array(frames),
-        joint_T_tip=pending if tool is None else pending @ tool,
+        axis=np.array([j.axis for j in (*free, *follow)]),
+        joint_T_tip=placed[0][0] if isinstance(tips, Tip) else np.array([frame for frame, _ in placed]),
         link_offset=np.array(offsets),
         world_T_base=np.eye(4) if mount is None else mount,
         bodies=_bodies(content, offsets, counts, len(frames)),
         boxes=tuple(Box(o @ t, h, i) for i, (c, o) in each for t, h in c.boxes),
         volumes=tuple(Volume(p @ o[:3, :3].T + o[:3, 3], np.asarray(r), i) for i, (c, o) in each for p, r in c.volumes),
         unread_meshes=tuple(n for n, c in zip(names, content, strict=True) if c.meshes),
-        drives=all_or_none(file, {j.name: j.drive for j in movable}),
+        drives=all_or_none(file, {j.name: j.drive for j in free}),
+        parents=tuple(parents),
+        mimics=mimics,
+        tip_joints=tuple(count for _, count in placed),
+        tip_names=() if isinstance(tips, Tip) else tuple(tip.name for tip in several),
         **stacked,
     )
+
+
+def _mimic(joint: Joint, free: Sequence[Joint]) -> Mimic:
+    """A joint that follows one of those that are free, which feels its rotor and its friction through the factor."""
+    assert joint.follows is not None
+    name, factor, offset = joint.follows
+    (number,) = (i for i, j in enumerate(free) if j.name == name)
+    leader = free[number]
+    leader.armature += factor**2 * joint.armature
+    if leader.drive is not None:  # where one joint of a robot has a drive, all have
+        before, own = leader.drive, (joint.drive or Drive()).friction
+        rubs = dataclasses.replace(
+            before.friction,
+            coulomb=before.friction.coulomb + abs(factor) * own.coulomb,
+            breakaway=_known(before.friction.breakaway) + abs(factor) * _known(own.breakaway),
+            viscous=before.friction.viscous + factor**2 * own.viscous,
+        )
+        leader.drive = dataclasses.replace(before, rotor_inertia=leader.armature, friction=rubs)
+    return Mimic(joint.name, joint.type, number, np.asarray(factor), np.asarray(offset))  # type: ignore[arg-type]
+
+
+def _known(value: Any) -> float:
+    """A number of a drive that a file gives."""
+    return float(value)
+
+
+MOVING_BASES = {
+    "planar": (("x", "prismatic", 0), ("y", "prismatic", 1), ("heading", "continuous", 2)),
+    "floating": (
+        *((axis, "prismatic", i) for i, axis in enumerate("xyz")),
+        *((turn, "continuous", i) for turn, i in (("yaw", 2), ("pitch", 1), ("roll", 0))),
+    ),
+}
+
+
+def moving_base(kind: str, root: str, taken: Iterable[str], root_T: np.ndarray | None = None) -> list[tuple[str, Joint]]:
+    """The joints of a base that moves, each with its parent, from a new link "world" to the `root`, which stands at `root_T`
+    (4, 4) where all of them are 0: "planar", x, y [m] and heading [rad]; or "floating", x, y, z and then yaw, pitch, roll, the
+    turns about its own z, y and x axes in this order. None has a limit."""
+    known = {*taken}
+    free = lambda name: next(n for i in itertools.count() if (n := f"{name}_{i}" if i else name) not in known)
+    parent, pairs = free("world"), []
+    for what, type_, axis in MOVING_BASES[kind]:
+        name = free(f"base_{what}")
+        pairs.append((parent, Joint(name, type_, np.eye(4), name, np.eye(3)[axis])))
+        parent = name
+    return [*pairs, (parent, Joint(free("base_fixed"), "fixed", np.eye(4) if root_T is None else root_T, root))]
 
 
 def rubbing(file: Path, joint: Joint, coulomb: float, viscous: float) -> None:

@@ -21,8 +21,10 @@ from jaxik.files.robot_toml import CORNERS, Table, read_drive, toml
 from jaxik.files.unchecked_pairs import check_ours, write_disabled
 from jaxik.kinematics.drive import Drive
 from jaxik.kinematics.link_distance_table import PairTable, packed, unpacked
-from jaxik.kinematics.robot import Body, JointType, Robot
+from jaxik.kinematics.named import Group, State
+from jaxik.kinematics.robot import Body, Robot
 from jaxik.kinematics.shapes import Box, ConvexPart, Surface, Unchecked, UncheckedReason, Volume
+from jaxik.kinematics.tree import JointType, Mimic
 from jaxik.spatial.rotations import to_rpy
 
 # what a file calls the fields of a robot that have a row a joint, or a row a link
@@ -65,14 +67,30 @@ def save(robot: Robot, path: str | Path, *, beyond: float = 0.005) -> float:
 def _toml(robot: Robot) -> str:
     names, joints = robot.link_names, robot.joint_names
     head: dict[str, Any] = {"name": robot.name, "convention": "chain", "spheres_per_box": robot.spheres_per_box}
-    head |= {"tip": robot.joint_T_tip, "world_T_base": robot.world_T_base}
+    single = np.ndim(robot.joint_T_tip) == 2
+    head |= ({"tip": robot.joint_T_tip} if single else {}) | {"world_T_base": robot.world_T_base}
+    head |= {"tip_joint": robot.tip_joints[0]} if single and robot.tip_joints else {}
+    head |= {"tip_name": robot.tip_names[0]} if single and robot.tip_names else {}
     head["pairs"] = [[names[a], names[b]] for a, b in robot.self_pairs]
     head["ignored_objects"] = [[names[i], other] for i, other in robot.ignored]  # of a scene; a link may have such a name, too
     row = lambda keys, i: {key: getattr(robot, field)[i] for key, field in keys.items()}
-    bodies = [vars(body) for body in robot.bodies] or [{} for _ in joints]
+    bodies = [vars(body) for body in robot.bodies] or [{} for _ in robot.row_names]
     drives = [{"drive": vars(d) | {"friction": vars(d.friction)}} for d in robot.drives] or [{} for _ in joints]
     unread = [{"unread": True} if name in robot.unread_meshes else {} for name in names]
-    tables = [("joint", row(JOINT, i) | body | drive) for i, (body, drive) in enumerate(zip(bodies, drives, strict=True))]
+    hung = [{"parent": robot.row_names[p] if p >= 0 else ""} for p in robot.parents] or [{} for _ in robot.row_names]
+    rows = zip(hung, bodies, drives, strict=False)  # what follows a joint has no drive
+    tables = [("joint", row(JOINT, i) | parent | body | drive) for i, (parent, body, drive) in enumerate(rows)]
+    for i, mimic in enumerate(robot.mimics, robot.num_joints):
+        follows = {"name": mimic.name, "type": mimic.type, "joint": joints[mimic.joint], "factor": mimic.factor}
+        placed = {"offset": mimic.offset, "frame": robot.parent_T_joint[i], "axis": robot.axis[i]}
+        tables.append(("mimic", follows | placed | (hung[i] or {"parent": robot.row_names[i - 1]}) | bodies[i]))
+    tables += [("group", {"name": each.name, "joints": list(each.joints)}) for each in robot.groups]
+    tables += [("state", {"name": s.name, "group": s.group, "values": dict(s.values)}) for s in robot.states]
+    if not single:
+        each_tip = zip(
+            robot.tip_names or [f"tip_{i}" for i in range(len(robot.tips))], robot.tips, robot.tip_frames, strict=True
+        )
+        tables += [("tip", {"name": name, "joint": joint, "frame": frame}) for name, joint, frame in each_tip]
     tables += [("link", row(LINK, i) | more) for i, more in enumerate(unread)]
     for box in robot.boxes:
         tables.append(("shape", {"link": names[box.link], "kind": "box", "frame": box.joint_T_box, "half": box.half}))
@@ -100,9 +118,11 @@ def read_robot(model: Table) -> Robot:
     joints, links = model.tables("joint"), model.tables("link")
     if not joints or not links:
         raise model.fail("has no [[joint]] or no [[link]]", "save the robot again")
-    rows, places = [_joint(table) for table in joints], [_link(table, len(joints)) for table in links]
+    mimics = model.tables("mimic")
+    rows, places = [_joint(table) for table in joints], [_link(table, len(joints) + len(mimics)) for table in links]
+    follow = [_mimic(table, [row["name"] for row in rows]) for table in mimics]
     names = tuple(place["name"] for place in places)
-    for what, each in (("joint", rows), ("link", places)):
+    for what, each in (("joint", [*rows, *follow]), ("link", places)):
         unique(model.path, what, (row["name"] for row in each))
     shapes = [_shape(table, names) for table in model.tables("shape")]
     per_box = int(model.number("spheres_per_box", "plain", 8.0))
@@ -110,11 +130,13 @@ def read_robot(model: Table) -> Robot:
         raise model.fail(f"spheres_per_box = {per_box}", f"allowed: {', '.join(map(str, LEVELS))}")
     robot = Robot(
         name=name,
-        **_columns(rows, JOINT),
+        **_columns(rows, JOINT) | _columns([*rows, *follow], {key: JOINT[key] for key in ("frame", "axis")}),
         **_columns(places, LINK),
-        joint_T_tip=_frame(model, "tip"),
+        **_tips(model, len(rows) + len(follow)),
+        parents=_parents(model, [*joints, *mimics], [*rows, *follow]),
+        mimics=tuple(row["mimic"] for row in follow),
         world_T_base=_frame(model, "world_T_base"),
-        bodies=tuple(row["body"] for row in rows) if all(row["body"] for row in rows) else (),
+        bodies=tuple(row["body"] for row in (*rows, *follow)) if all(row["body"] for row in (*rows, *follow)) else (),
         boxes=tuple(s for s in shapes if isinstance(s, Box)),
         volumes=tuple(s for s in shapes if isinstance(s, Volume)),
         spheres_per_box=per_box,
@@ -127,10 +149,50 @@ def read_robot(model: Table) -> Robot:
         "unchecked": tuple(_unchecked(table, names) for table in model.tables("unchecked")),
         "surfaces": tuple(_surface(table, names) for table in model.tables("surface")),
         "convex_parts": tuple(_part(table, names) for table in model.tables("part")),
+        "groups": tuple(_group(table, robot.joint_names) for table in model.tables("group")),
+        "states": tuple(_state(table, robot.joint_names) for table in model.tables("state")),
         "ignored": tuple(_beside(model, entry, names) for entry in model.listed("ignored_objects")),
     }
     model.close()
     return dataclasses.replace(robot, **more)
+
+
+def _tips(model: Table, rows: int) -> dict[str, Any]:
+    """The fields of a robot that say where its tips are: one, at its end unless the file says where; or a list."""
+    tables = model.tables("tip") if isinstance(model.content.get("tip"), list) and _is_tables(model.content["tip"]) else []
+    if not tables:
+        number = int(model.number("tip_joint", "plain", -1.0))
+        name = model.text("tip_name", "-")
+        found = {"joint_T_tip": _frame(model, "tip"), "tip_joints": (number,) if number >= 0 else ()}
+        return found | ({} if name == "-" else {"tip_names": (name,)})
+    names, numbers = [table.named() for table in tables], [int(table.number("joint", "plain")) for table in tables]
+    for table, number in zip(tables, numbers, strict=True):
+        if number not in range(rows + 1):
+            raise table.fail(f"joint = {number}", f"the number of the joint that moves it, 0 (the base) to {rows}")
+    frames = np.array([_frame(table, "frame") for table in tables])
+    return {"joint_T_tip": frames, "tip_joints": tuple(numbers), "tip_names": tuple(names)}
+
+
+def _is_tables(given: list[Any]) -> bool:
+    return bool(given) and isinstance(given[0], dict)
+
+
+def _parents(model: Table, tables: Sequence[Table], rows: Sequence[dict[str, Any]]) -> tuple[int, ...]:
+    """The row that each joint hangs on; none of a serial arm."""
+    number = {row["name"]: i for i, row in enumerate(rows)} | {"": -1}
+    found = []
+    for i, table in enumerate(tables):
+        table.asked.add("parent")
+        name = table.content.get("parent", rows[i - 1]["name"] if i else "")
+        if name not in number:
+            raise table.fail(f"parent = {shown(name)}", f'a joint, or "" for the base: {listed(number)}')
+        found.append(number[name])
+    left = {*range(len(found))}
+    while ready := {i for i in left if found[i] not in left}:
+        left -= ready
+    if left:
+        raise tables[min(left)].fail("hangs on itself, by way of others", "a robot needs a tree: mend its parent")
+    return tuple(found)
 
 
 def _columns(rows: Sequence[dict[str, Any]], keys: dict[str, str]) -> dict[str, Any]:
@@ -168,8 +230,8 @@ def _table(table: Table, robot: Robot) -> PairTable:
     turns = tuple(table.listed("turns"))
     if [*map(type, turns)] != [bool, bool]:
         raise table.fail(f"turns = {str(turns)[:60]}", "two of: true, false")
-    first, last = sorted(robot.link_joint[link] for link in links)
-    if not first <= joints[0] == joints[1] - 1 < last - 1:
+    way = max(robot.tree.apart(*(robot.link_joint[link] for link in links)), key=len)
+    if joints not in itertools.pairwise(way):
         raise table.fail("joints are not two successive ones between the links", "take the table out, or save the robot again")
     bounds, geometry = table.text("bounds"), table.text("geometry")
     try:
@@ -214,10 +276,35 @@ def _joint(table: Table) -> dict[str, Any]:
     return row
 
 
+def _mimic(table: Table, joints: Sequence[str]) -> dict[str, Any]:
+    """The row of a joint that follows one of `joints`."""
+    name, kind = table.named(), table.text("type", None, get_args(JointType))
+    leader = joints.index(table.text("joint", None, joints))
+    numbers = (table.finite(key, ()) for key in ("factor", "offset"))
+    row: dict[str, Any] = {"name": name, "frame": _frame(table, "frame"), "axis": table.finite("axis", (3,)), "body": None}
+    checked(table.path, Joint(name, kind, row["frame"], "", row["axis"]))
+    if "mass" in table.content:
+        row["body"] = Body(table.finite("mass", ()), table.finite("com", (3,)), table.finite("inertia", (3, 3)))
+    return row | {"mimic": Mimic(name, kind, leader, *numbers)}  # type: ignore[arg-type]
+
+
+def _group(table: Table, joints: Sequence[str]) -> Group:
+    name, own = table.named(), table.listed("joints")
+    if not all(joint in joints for joint in own):
+        raise table.fail(f"joints = {shown(own)}", f"a list of some of: {listed(joints)}")
+    return Group(name, tuple(own))
+
+
+def _state(table: Table, joints: Sequence[str]) -> State:
+    name, group, values = table.named(), table.text("group"), table.table("values")
+    values.only(joints)
+    return State(name, group, tuple((joint, values.number(joint, "plain")) for joint in values.content))
+
+
 def _link(table: Table, joints: int) -> dict[str, Any]:
     name, joint = table.named(), table.number("joint", "plain")
     if joint not in range(joints + 1):
-        raise table.fail(f"joint = {joint:g}", f"the number of joints before it, 0 to {joints}")
+        raise table.fail(f"joint = {joint:g}", f"the number of the joint that moves it, 0 (the base) to {joints}")
     return {"name": name, "joint": int(joint), "frame": _frame(table, "frame"), "unread": table.flag("unread")}
 
 
@@ -251,8 +338,9 @@ def spherized(robot: Robot, beyond: float) -> tuple[str, float]:
     for box in robot.boxes:
         middles, size = box_spheres(box, robot.spheres_per_box)
         spheres[box.link] += [(np.asarray(middle), float(size)) for middle in middles]
-    tool = _free("tool", (*names, *robot.link_names))
-    every = dict.fromkeys((*names, *robot.link_names, tool))
+    named = [f"{tip}_tip" for tip in robot.tip_names] if len(robot.tips) > 1 else ["tool"]
+    tools = [_free(name, (*names, *robot.link_names)) for name in named]
+    every = dict.fromkeys((*names, *robot.link_names, *tools))
     elements = {name: ElementTree.SubElement(root, "link", name=name) for name in every}
     for i, name in enumerate(robot.link_names):
         element = elements[name]
@@ -263,9 +351,13 @@ def spherized(robot: Robot, beyond: float) -> tuple[str, float]:
             collision = ElementTree.SubElement(element, "collision")
             ElementTree.SubElement(collision, "origin", xyz=_words(back[:3, :3] @ centre + back[:3, 3]), rpy="0 0 0")
             ElementTree.SubElement(ElementTree.SubElement(collision, "geometry"), "sphere", radius=repr(float(radius)))
-    for i, name in enumerate(robot.joint_names):
-        joint = _joined(root, name, robot.joint_types[i], names[i], names[i + 1], robot.parent_T_joint[i])
+    tree, types = robot.tree, (*robot.joint_types, *(m.type for m in robot.mimics))
+    for i, name in enumerate(robot.row_names):
+        joint = _joined(root, name, types[i], names[tree.parents[i] + 1], names[i + 1], robot.parent_T_joint[i])
         ElementTree.SubElement(joint, "axis", xyz=_words(robot.axis[i]))
+        if i >= robot.num_joints:
+            _following(robot, robot.mimics[i - robot.num_joints], joint)
+            continue
         ends = {} if robot.joint_types[i] == "continuous" else {"lower": robot.lower[i], "upper": robot.upper[i]}
         effort = robot.effort[i] if np.isfinite(robot.effort[i]) else 0.0  # which the format wants of every joint
         limit = ends | {"velocity": robot.velocity[i], "effort": effort}
@@ -274,10 +366,12 @@ def spherized(robot: Robot, beyond: float) -> tuple[str, float]:
             ElementTree.SubElement(joint, "dynamics", _friction(robot.drives[i]))
     placed = zip(robot.link_names, robot.link_joint, robot.link_offset, strict=True)
     fixed = [(name, names[joint], offset) for name, joint, offset in placed if name not in names]
-    for name, parent, frame in (*fixed, (tool, names[-1], robot.joint_T_tip)):
+    stand = [(tool, names[number], frame) for tool, number, frame in zip(tools, robot.tips, robot.tip_frames, strict=True)]
+    for name, parent, frame in (*fixed, *stand):
         _joined(root, _free(f"{name}_fixed", robot.joint_names), "fixed", parent, name, frame)
     count = sum(map(len, spheres.values()))
-    note = f"{count} spheres, which reach at most {1e3 * reach:.1f} mm beyond the collision model; the tip is '{tool}'"
+    note = f"{count} spheres, which reach at most {1e3 * reach:.1f} mm beyond the collision model; the tip is "
+    note += ", ".join(f"'{tool}'" for tool in tools)
     root.insert(0, ElementTree.Comment(f" {note} "))
     root.insert(1, ElementTree.Comment(f" {LOST} "))
     ElementTree.indent(root)
@@ -287,10 +381,10 @@ def spherized(robot: Robot, beyond: float) -> tuple[str, float]:
 def _frame_names(robot: Robot) -> list[str]:
     """A link for the base's frame and each joint's: one of the robot's that stands there, or another."""
     found: list[str] = []
-    for joint in range(robot.num_joints + 1):
+    for joint in range(len(robot.row_names) + 1):
         there = [n for n, j, o in zip(robot.link_names, robot.link_joint, robot.link_offset, strict=True)
                  if j == joint and np.array_equal(o, np.eye(4))]  # fmt: skip
-        named = "base_frame" if joint == 0 else f"{robot.joint_names[joint - 1]}_frame"
+        named = "base_frame" if joint == 0 else f"{robot.row_names[joint - 1]}_frame"
         found.append(there[0] if there else _free(named, (*robot.link_names, *found)))
     return found
 
@@ -306,6 +400,16 @@ def _inertial(element: ElementTree.Element, body: Body) -> None:
     ElementTree.SubElement(inertial, "mass", value=repr(float(body.mass)))
     entries = {f"i{'xyz'[i]}{'xyz'[j]}": repr(float(body.inertia[i, j])) for i in range(3) for j in range(i, 3)}
     ElementTree.SubElement(inertial, "inertia", entries)
+
+
+def _following(robot: Robot, mimic: Mimic, joint: ElementTree.Element) -> None:
+    """Writes that a joint follows another, as a URDF does; its limits are those that the other's leave it."""
+    ends = sorted(mimic.value(x) for x in (robot.lower[mimic.joint], robot.upper[mimic.joint]))
+    if mimic.type != "continuous":
+        limit = {"lower": ends[0], "upper": ends[1], "effort": 0.0, "velocity": robot.velocity[mimic.joint]}
+        ElementTree.SubElement(joint, "limit", {k: repr(float(v)) for k, v in limit.items() if np.isfinite(v)})
+    numbers = {"multiplier": repr(float(mimic.factor)), "offset": repr(float(mimic.offset))}
+    ElementTree.SubElement(joint, "mimic", {"joint": robot.joint_names[mimic.joint]} | numbers)
 
 
 def _friction(drive: Drive) -> dict[str, str]:

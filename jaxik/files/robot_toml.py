@@ -21,7 +21,19 @@ from jaxik.collision.scene import LIMIT
 from jaxik.files.documents import locate, read_bytes
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import resolve
-from jaxik.files.robot_builder import JOINT_TYPES, Joint, Link, assemble, symmetric, unique, way_up
+from jaxik.files.robot_builder import (
+    JOINT_TYPES,
+    MOVING_BASES,
+    Joint,
+    Link,
+    Tip,
+    all_driven,
+    assemble_tree,
+    moving_base,
+    symmetric,
+    unique,
+)
+from jaxik.files.tree_ways import AskedTips, ways_of
 from jaxik.kinematics.drive import Drive, Friction, Side
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
@@ -240,17 +252,27 @@ class Parts:
         return ["base", *(joint.child for joint in self.joints)]
 
 
-def load_toml(model: Table, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Robot:
-    """A model file to a chain from link `base` to link `tip`, where they are given; joints after the tip are held."""
+def load_toml(model: Table, tip: AskedTips, base: str | None, tool: np.ndarray | None, posture: Posture) -> Robot:
+    """A model file to a chain from link `base`, or from a base that moves, to link `tip`, where they are given; joints after
+    the tip are held."""
     path, parts = model.path, _parts(model, (model.path.resolve(),))
     joints, names = parts.joints, parts.names
-    way = way_up(path, names, dict(zip(names[1:], names, strict=False)), tip or names[-1], base or "base")
-    first, last = names.index(way[-1]), names.index(way[0])
-    if tip is None:
+    above, moves = dict(zip(names[1:], names, strict=False)), base if base in MOVING_BASES and base not in names else None
+    asked = AskedTips((names[-1],)) if tip.names is None else tip
+    ways = ways_of(path, names, above, asked, "base" if moves else base or "base")
+    first, last = names.index(ways.root), max(map(names.index, ways.tips))
+    if tip.names is None:
         tool = parts.tool if tool is None else parts.tool @ tool
-    run, mount_here = joints[first:last], parts.mount if first == 0 else None
-    carried = posture.hold(path, run, [*zip(names[last:], joints[last:], strict=False)])
-    return assemble(path, model.text("name"), names[first], run, parts.links, tool, mount_here, carried)
+    pairs = [*zip(names, joints, strict=False)]
+    pairs, root = posture.settle(path, pairs[first:last], pairs[last:], False), names[first]
+    if moves:
+        pairs = [*moving_base(moves, root, (*names, *(j.name for j in joints))), *pairs]
+        root = pairs[0][0]
+        all_driven(joint for _, joint in pairs)
+    named = zip(asked.names or (), ways.tips, strict=True)
+    tips = [Tip(name, link, np.eye(4) if tool is None else tool) for name, link in named]
+    mount_here = parts.mount if first == 0 else None
+    return assemble_tree(path, model.text("name"), root, pairs, parts.links, tips if tip.several else tips[0], mount_here)
 
 
 def _parts(model: Table, files: tuple[Path, ...]) -> Parts:

@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
-import collections
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from jaxik.checks.options import among
+from jaxik.checks.options import among, shown
 from jaxik.files.documents import XACRO, attribute, number, numbers, parse
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, read_mesh
-from jaxik.files.robot_builder import JOINT_TYPES, Joint, Link, Notes, all_driven, assemble, rubbing, symmetric, unique, way_up
+from jaxik.files.robot_builder import (
+    JOINT_TYPES,
+    MOVING_BASES,
+    Joint,
+    Link,
+    Notes,
+    Tip,
+    all_driven,
+    assemble_tree,
+    moving_base,
+    rubbing,
+    symmetric,
+    unique,
+)
 from jaxik.files.robot_toml import TURNS
+from jaxik.files.tree_ways import AskedTips, Ways, carried_links, ways_of
 from jaxik.fitting.links import Shape
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
@@ -24,9 +37,10 @@ DEGREES = 1080.0  # a limit beyond them is meant to be none
 
 
 def load_urdf(
-    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture, notes: Notes
+    path: Path, tip: AskedTips, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture, notes: Notes
 ) -> Robot:
-    """The serial chain from link `base` (the root) to link `tip` (the only leaf), and what it carries, `held` in a posture."""
+    """The tree from link `base` (the root, on a base that moves, too) to the links `tip` (the only leaf), and what it carries,
+    `held` in a posture."""
     root = parse(path, "robot")
     _refuse_xacro(path, root)
     if root.get("version", "1.0") == "1.0" and any("quat_xyzw" in origin.attrib for origin in root.iter("origin")):
@@ -35,16 +49,52 @@ def load_urdf(
     for kind, found in elements.items():
         unique(path, kind, (attribute(path, f"a <{kind}>", e, "name") for e in found))
     links = {str(e.get("name")): e for e in elements["link"]}
-    above, notes.links = _parents(path, elements["joint"], links), tuple(links)
-    *below, first = way_up(path, [*links], {child: parent for child, (_, parent) in above.items()}, tip, base)
-    run, names = [_joint(path, above[link][0], link, notes) for link in below], [first, *below]
-    all_driven(run)
-    carried = held.hold(path, run, _carried(path, names, above, notes))
-    content = {name: _link(path, name, links[name], meshes) for name in (*names, *(j.child for _, j in carried))}
+    joints, notes.links = _parents(path, elements["joint"], links), tuple(links)
+    above = {child: parent for child, (_, parent) in joints.items()}
+    moves = base if base in MOVING_BASES and base not in links else None
+    ways = ways_of(path, [*links], above, tip, None if moves else base, fingers=_fingers(joints) if tip.names is None else ())
+    ways = _below_floating(joints, ways) if moves else ways
+    run = [(above[link], _joint(path, joints[link][0], link, notes)) for link in ways.below]
+    aside = [(above[link], _joint(path, joints[link][0], link, notes, beside=True)) for link in carried_links(above, ways)]
+    pairs, first = held.settle(path, run, aside, tip.several), ways.root
+    if moves:
+        pairs = [*moving_base(moves, first, (*links, *(j.get("name", "") for j in elements["joint"]))), *pairs]
+        first = pairs[0][0]
+    all_driven(joint for _, joint in pairs)
+    names = (ways.root, *reversed(ways.below), *(joint.child for _, joint in aside))
+    content = {name: _link(path, name, links[name], meshes) for name in names}
     seen = {tag: any(links[name].find(tag) is not None for name in content) for tag in ("visual", "collision")}
     if meshes.read and seen["visual"] and not seen["collision"]:
         notes.add("none of its links has a <collision>, and a <visual> is not read: copy it where it is to be collided with")
-    return assemble(path, root.get("name", path.stem), first, run[::-1], content, tool, carried=carried)
+    named = zip(tip.names or ways.tips, ways.tips, strict=True)
+    tips = [Tip(name, link, np.eye(4) if tool is None else tool) for name, link in named]
+    notes.above = {child: (str(element.get("name")), parent) for child, (element, parent) in joints.items()}
+    return assemble_tree(path, root.get("name", path.stem), first, pairs, content, tips if tip.several else tips[0])
+
+
+Joints = dict[str, tuple[Element, str]]  # of each link the joint that leads to it, and the link before
+
+
+def _fingers(joints: Joints) -> set[str]:
+    """The links behind joints that mimic others, or that others mimic: a hand's, which nobody means by a tip."""
+    names = {str(element.get("name")) for element, _ in joints.values() if element.find("mimic") is not None}
+    for element, _ in joints.values():
+        mimic = element.find("mimic")
+        names |= {mimic.get("joint", "")} if mimic is not None else set()
+    found = {child for child, (element, _) in joints.items() if element.get("name") in names}
+    while more := {child for child, (_, parent) in joints.items() if parent in found} - found:
+        found |= more
+    return found
+
+
+def _below_floating(joints: Joints, ways: Ways) -> Ways:
+    """The ways from below what the file itself lets float, on the trunk that they share, since the base moves already."""
+    for i, link in enumerate(ways.below):
+        if joints[link][0].get("type") in ("floating", "planar"):
+            return ways._replace(root=link, below=ways.below[i + 1 :])
+        if i + 1 < len(ways.below) and joints[ways.below[i + 1]][1] != link:
+            break
+    return ways
 
 
 def _refuse_xacro(path: Path, root: Element) -> None:
@@ -56,20 +106,6 @@ def _refuse_xacro(path: Path, root: Element) -> None:
             raise LoadError(path, f"<{tag}>", "is xacro, of which a robot is still to be made", XACRO.format(path))
 
 
-def _carried(path: Path, robot: list[str], above: dict[str, tuple[Element, str]], notes: Notes) -> list[tuple[str, Joint]]:
-    """The joints that lead aside from the robot, and on from there: a head, a hand's fingers, a camera. With their parents."""
-    found: list[tuple[str, Joint]] = []
-    on_robot, below = {*robot}, collections.defaultdict(list)
-    for child, (element, parent) in above.items():
-        below[parent].append((element, child))
-    reached = list(robot)
-    for parent in reached:  # grows while it is read
-        aside = [(element, child) for element, child in below[parent] if child not in on_robot]
-        found += [(parent, _joint(path, element, child, notes, beside=True)) for element, child in aside]
-        reached += [child for _, child in aside]
-    return found
-
-
 def _parents(path: Path, joints: list[Element], links: dict[str, Element]) -> dict[str, tuple[Element, str]]:
     above: dict[str, tuple[Element, str]] = {}
     for element in joints:
@@ -79,7 +115,9 @@ def _parents(path: Path, joints: list[Element], links: dict[str, Element]) -> di
             if link not in links:
                 raise LoadError(path, where, f"link '{link}' is not defined", among(link, [*links], "links"))
         if child in above:
-            raise LoadError(path, where, f"link '{child}' has two parent joints", "a robot needs a tree")
+            first = above[child][0].get("name")
+            mend = f"a robot needs a tree: cut the loop at this joint or at '{shown(first)}'"
+            raise LoadError(path, where, f"link '{child}' has two parent joints", mend)
         above[child] = (element, parent)
     return above
 
@@ -98,20 +136,19 @@ def _origin(path: Path, where: str, element: Element) -> np.ndarray:
 
 
 def _joint(path: Path, element: Element, child: str, notes: Notes, beside: bool = False) -> Joint:
-    """A joint of the chain; or one beside it, which may be of any type and follow another."""
+    """A joint on the way to a tip; or one beside, which may be of any type."""
     name = str(element.get("name"))
     where = f"joint '{name}'"
     kind = attribute(path, where, element, "type")
     if kind not in JOINT_TYPES and not beside:
-        mend = f"allowed: {', '.join(JOINT_TYPES)}; pass base= (--base) to start below it"
+        more = f', or base="{kind}" for a base that moves so' if kind in MOVING_BASES else ""
+        mend = f"allowed: {', '.join(JOINT_TYPES)}; pass base= (--base) to start below it{more}"
         raise LoadError(path, where, f"type '{kind}' is not supported", mend)
     joint = Joint(name, kind if kind in JOINT_TYPES else "fixed", _origin(path, where, element), child)
     if joint.type == "fixed":
         joint.stands = "" if kind == "fixed" else kind
         return joint
     mimic = element.find("mimic")
-    if mimic is not None and not beside:
-        raise LoadError(path, where, "a mimic joint on the chain", "drive it as a joint of its own: remove <mimic>")
     if mimic is not None:
         offset, slope = number(path, where, mimic, "offset", "0"), number(path, where, mimic, "multiplier", "1")
         joint.mimic = attribute(path, where, mimic, "joint"), Polynomial([offset, slope])

@@ -136,7 +136,9 @@ def table_of(
     """The table, of `side` values of each joint, that says of most configurations `q` (k, n), in which a pair is free, that it
     is; None if of too few."""
     near, far = sorted(pair, key=lambda link: robot.link_joint[link])
-    first, last = robot.link_joint[near], robot.link_joint[far]
+    if (span := _span(robot, near, far)) is None:
+        return None
+    first, last = span
     before, after = (not robot.is_prismatic[j] for j in (first, last - 1))  # whether these joints may sweep their links
     best: tuple[float, int, Couples] = USEFUL, 0, []
     for k in range(first, last - 1):
@@ -151,11 +153,19 @@ def table_of(
     return dataclasses.replace(table, links=pair) if np.mean(table(q) > 0.0) >= USEFUL else None
 
 
+def _span(robot: Robot, near: int, far: int) -> tuple[int, int] | None:
+    """The first and one after the last of the joints between two links, where they follow each other from the one to the other;
+    None of two branches, and of joints that follow others."""
+    aside, rows = robot.tree.apart(robot.link_joint[near], robot.link_joint[far])
+    successive = rows == tuple(range(rows[0], rows[0] + len(rows))) if rows else False
+    return (rows[0], rows[-1] + 1) if successive and not aside and rows[-1] < robot.num_joints else None
+
+
 def _couples(robot: Robot, near: int, far: int, k: int, bodies: dict[int, list[Body]]) -> Couples:
     """The bodies of the link nearer to the base, each with each of the one further: or, where joints lie between beside k and
     k + 1, all that they sweep by them."""
     axes, frame = np.asarray(robot.axis, np.float64), np.asarray(robot.parent_T_joint, np.float64)
-    first, last, mine, theirs = robot.link_joint[near], robot.link_joint[far], bodies[near], bodies[far]
+    (first, last), mine, theirs = _span(robot, near, far) or (0, 0), bodies[near], bodies[far]
     if k > first:
         mine = [_swept(body, frame[first, :3, 3], frame[first, :3, :3] @ axes[first]) for body in mine]
     if k + 2 < last:
@@ -166,7 +176,7 @@ def _couples(robot: Robot, near: int, far: int, k: int, bodies: dict[int, list[B
 def _table(robot: Robot, near: int, far: int, k: int, couples: Couples, limits: Limits, side: int) -> PairTable:
     """A table by joints k and k + 1, the others between at 0."""
     axes, frame = np.asarray(robot.axis, np.float64), np.asarray(robot.parent_T_joint, np.float64)
-    first, last = robot.link_joint[near], robot.link_joint[far]
+    first, last = _span(robot, near, far) or (0, 0)
     own = functools.reduce(np.matmul, frame[first : k + 1])  # joint k, seen from the nearer link
     other = np.linalg.inv(functools.reduce(np.matmul, frame[k + 2 : last], np.eye(4)))  # joint k + 1, seen from the further one
     slides = [robot.is_prismatic[j] for j in (k, k + 1)]

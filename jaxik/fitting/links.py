@@ -182,7 +182,7 @@ class Links:
 
     def apart(self, pair: Pair) -> int:
         """How many joints are between two links."""
-        return abs(self.robot.link_joint[pair[0]] - self.robot.link_joint[pair[1]])
+        return self.robot.tree.distance(*(self.robot.link_joint[link] for link in pair))
 
     def neighbours(self, pair: Pair) -> bool:
         """Whether one joint is between two links, and neither is behind a joint beside the chain."""
@@ -220,7 +220,8 @@ class Links:
         touching = np.flatnonzero(gap <= 0.0)
         if len(touching) > OFTEN * len(gap) or (len(touching) and self.depth(pair, self.q[touching]).max() > DEEP):
             return True
-        joints = np.arange(*sorted(self.robot.link_joint[link] for link in pair))
+        ways = self.robot.tree.apart(*(self.robot.link_joint[link] for link in pair))
+        joints = np.array(sorted({self.robot.tree.joints[row] for way in ways for row in way}), int)
         turn, place = between(self.robot, pair, self.frames)
         bound = np.min([apart_at_least(a, b, turn, place) for a, b in self.couples(pair)], axis=0)
         best = self.q[np.argsort(np.where(np.isfinite(gap), gap - FAR, bound), kind="stable")[:NEAREST]]

@@ -95,7 +95,8 @@ def modelled(
     surfaces = [part for s in shapes for part in (s.corners, s.triangles)]
     arrays = [robot.parent_T_joint, robot.axis, *robot.finite_limits, *exact, *surfaces]
     said = [sorted(map(sorted, asked.apart)), sorted(map(sorted, asked.checked)), asked.all]
-    words = _VERSION, fit, said, robot.joint_types, links, [np.shape(x) for x in arrays]
+    structure = () if robot.tree.serial else (robot.tree.parents, robot.mimics)
+    words = _VERSION, fit, said, robot.joint_types, links, [np.shape(x) for x in arrays], *structure
     name = f"jaxik_fit_{hashed(words, arrays)[:32]}"
     if (stored := read(name)) is not None:
         with contextlib.suppress(ValueError, SyntaxError, TypeError):  # of another make: it is made again

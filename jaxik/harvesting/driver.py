@@ -105,6 +105,7 @@ def harvest(
     """
     options = HarvestOptions.chosen(options, changes)
     check_kind("harvest", "robot", robot, Robot)
+    robot.only_tip("harvest")
     check_kind("harvest", "scene", scene, Scene)
     if not scene.marks:
         raise ValueError(f"scene '{scene.name}' has no fruit; add one with SceneBuilder.add_mark")

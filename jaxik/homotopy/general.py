@@ -52,7 +52,7 @@ from jaxik.homotopy.axis_line import (
 from jaxik.homotopy.path_tracking import ARRIVED, GOAL, GONE, LOST, NEAR, SINGULAR, STEEP
 from jaxik.kinematics.axes import Axes
 from jaxik.kinematics.joint_turns import wrapped
-from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.robot import Robot, need_serial
 from jaxik.optimise.linear import definite_solve
 from jaxik.spatial.algebra import Frame, Vec3, atan2, stack
 from jaxik.spmd import kernel
@@ -107,6 +107,7 @@ def all_postures(robot: Robot, pose: Float[Array, "4 4"]) -> AllPostures:
     """
     check_kind("all_postures", "robot", robot, Robot)
     check_known("all_postures", robot=robot)
+    need_serial("all_postures", robot)
     arm = arm_of(robot)
     q, margin, complete = general_solutions(arm, pose)
     return AllPostures(q, margin >= 0.0, complete, arm.starts.count)

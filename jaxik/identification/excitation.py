@@ -39,7 +39,7 @@ from jaxik.identification.regression import (
     side_by_side,
 )
 from jaxik.kinematics.motion import Motion
-from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.robot import Robot, need_serial
 from jaxik.options import Options, anything, count, flag, number
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.reasons import Reason
@@ -265,7 +265,7 @@ def excite(
     Raises `ValueError` for options that cannot be used, for a joint that cannot move, for a robot without shapes unless
     `collision=False`, and where no motion is clear. Source: Swevers, Ganseman, Tukel, De Schutter, Van Brussel 1997.
     """
-    check_kind("excite", "robot", robot, Robot)
+    need_serial("excite", robot)
     check_kind("excite", "scene", scene, Scene, optional=True)
     check_seed("excite", seed)
     options = ExciteOptions.chosen(options, changes)

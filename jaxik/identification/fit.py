@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from jaxik.checks.options import check_kind
 from jaxik.identification.least_squares import BaseFit, base_fit, physical_fit, repeated
 from jaxik.identification.regression import BaseParameters, Problem, Term, base_parameters, check_terms, posed
 from jaxik.kinematics.drive import Drive, Friction, numbers_of
 from jaxik.kinematics.motion import Motion
-from jaxik.kinematics.robot import INERTIAL, Robot
+from jaxik.kinematics.robot import INERTIAL, Robot, need_serial
 from jaxik.options import Options, anything, count, number
 from jaxik.pytree import static
 from jaxik.reasons import Reason
@@ -137,7 +136,7 @@ def identify(
 
     Raises `ValueError` for logs and options that cannot be used. Sources: Gautier 1991; Rucker, Wensing 2022.
     """
-    check_kind("identify", "robot", robot, Robot)
+    need_serial("identify", robot)
     options = IdentifyOptions.chosen(options, changes)
     known = np.asarray(robot.parameters, np.float64)
     if not np.isfinite(known).all():

@@ -20,7 +20,6 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
-from jaxik.checks.options import check_kind
 from jaxik.dynamics.actuation import torque_of_current
 from jaxik.dynamics.recursions import inverse_dynamics, regressor
 from jaxik.identification.fit import HEAVY, MOST, FitResult, LogOptions, arrived, as_slow, verdict, with_errors
@@ -28,7 +27,7 @@ from jaxik.identification.least_squares import EXACT, FROM_PSEUDO, TO_PSEUDO, co
 from jaxik.identification.regression import joined
 from jaxik.kinematics.drive import numbers_of
 from jaxik.kinematics.motion import Motion
-from jaxik.kinematics.robot import ENTRIES, INERTIAL, TENSOR, Robot, steiner
+from jaxik.kinematics.robot import ENTRIES, INERTIAL, TENSOR, Robot, need_serial, steiner
 from jaxik.spmd.host import host_kernels
 
 APART = 0.1  # [rad, m] by which two logs of one motion may differ, for a load bends an arm
@@ -83,7 +82,7 @@ def identify_load(
     Raises `ValueError` for logs and options that cannot be used, and for logs of different motions. Sources: Khalil, Gautier,
     Lemoine 2007; Rucker, Wensing 2022.
     """
-    check_kind("identify_load", "robot", robot, Robot)
+    need_serial("identify_load", robot)
     options = IdentifyLoadOptions.chosen(options, changes)
     q, qdot, qddot, torque = joined(robot, loaded, "identify_load")
     with jax.enable_x64(True):

@@ -26,11 +26,11 @@ import jax
 import numpy as np
 
 from jaxik.checks.arrays import numbers
-from jaxik.checks.options import check_choices, check_kind, check_seed, shown
+from jaxik.checks.options import check_choices, check_seed, shown
 from jaxik.dynamics.recursions import regressor
 from jaxik.kinematics.drive import numbers_of
 from jaxik.kinematics.motion import Motion
-from jaxik.kinematics.robot import INERTIAL, Robot, beyond_limits
+from jaxik.kinematics.robot import INERTIAL, Robot, beyond_limits, need_serial
 from jaxik.spmd.host import host_kernels
 
 Term = Literal["coulomb", "breakaway", "viscous", "load", "viscous_load", "asymmetry", "armature"]
@@ -111,7 +111,7 @@ def base_parameters(robot: Robot, *, terms: Sequence[Term] = (), seed: int = 0) 
 
     Raises `ValueError` for a term that does not exist. Source: Gautier 1991.
     """
-    check_kind("base_parameters", "robot", robot, Robot)
+    need_serial("base_parameters", robot)
     check_terms("base_parameters", terms)
     check_seed("base_parameters", seed)
     n, rng = robot.num_joints, np.random.default_rng(seed)

@@ -237,6 +237,7 @@ def is_looked_at(who: str, robot: Robot, scene: Scene | None, collision: bool) -
     """Whether a robot's clearance is looked at: to a scene; without one to itself, where it has links that may hit. Raises
     `ValueError` for what is no robot or no scene, and for a scene with `collision=False`."""
     check_kind(who, "robot", robot, Robot)
+    robot.only_tip(who)
     check_kind(who, "scene", scene, Scene, optional=True)
     check_collision(who, collision, scene)
     return collision and (scene is not None or (has_geometry(robot) and bool(robot.self_pairs)))

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxik.kinematics.forward import row_values
 from jaxik.kinematics.robot import Robot
 from jaxik.pytree import read_only
 
@@ -105,19 +106,20 @@ def _straightest(ways: list[_Way]) -> np.ndarray:
 
 
 def _ways(robot: Robot) -> tuple[list[_Way], np.ndarray]:
-    """Returns the ways from the base to the first turning axis, from axis to axis and to the tip, and the tip in the last
+    """Returns the ways from the base to the first turning axis, from axis to axis and to the only tip, and the tip in the last
     link."""
     ways, frame, stroke, last = [], np.eye(4), 0.0, np.zeros(3)
-    for i, prismatic in enumerate(robot.is_prismatic):
+    ends = [row_values(robot, [float(x) for x in end]) for end in (robot.lower, robot.upper)]
+    for i in robot.tree.way(robot.only_tip("reach_bound")):
         frame = frame @ robot.parent_T_joint[i]
         axis = np.asarray(robot.axis[i])
-        if prismatic:
-            low, high = float(robot.lower[i]), float(robot.upper[i])
+        if robot.tree.slides[i]:
+            low, high = sorted((ends[0][i], ends[1][i]))
             stroke += (high - low) / 2.0
             frame[:3, 3] += frame[:3, :3] @ axis * ((low + high) / 2.0 if np.isfinite(low + high) else 0.0)
         else:
             ways.append(_Way(last, frame[:3, 3].copy(), frame[:3, :3] @ axis, stroke))
             frame, stroke, last = np.eye(4), 0.0, axis
-    frame = frame @ robot.joint_T_tip
+    frame = frame @ robot.tip_frames[0]
     ways.append(_Way(last, frame[:3, 3].copy(), np.zeros(3), stroke))
     return ways, frame

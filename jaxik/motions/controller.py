@@ -78,6 +78,7 @@ class PredictiveController:
         **changes: Any,
     ) -> None:
         check_kind("controller", "robot", robot, Robot)
+        robot.only_tip("controller")
         self.robot, self.cost, self.options = robot, cost, PredictOptions.chosen(options, changes)
         self.iterations = as_count("controller: iterations", iterations)
         if self.options.free_start or self.options.descend.direction == "lbfgs":

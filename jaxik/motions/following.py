@@ -162,6 +162,7 @@ def scenario_axes(who: str, robot: Robot, path: Path, duration: Any, q: Any, eac
     """The axes of scenarios in q and in each of `kinds`; None for one scenario. Raises `ValueError`, `who` asking, for another
     robot, path, duration or q, and for a name in `each` that is none of `kinds`."""
     check_kind(who, "robot", robot, Robot)
+    robot.only_tip(who)
     axes = batch_axes(who, each, kinds)
     check_path(who, path, duration, q.shape[:1] if "duration" in each else ())
     n = robot.num_joints

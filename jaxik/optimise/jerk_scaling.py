@@ -16,56 +16,19 @@ At rest along a path itself, (ds/dt)^2 goes as s^(4/3), which no grid follows; t
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-ROOM = 1.06  # of the limits at the first iterate, to be inside
+from jaxik.optimise.interior_point import SOLVED
+from jaxik.optimise.neighbour_limits import Rows
+from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.trace import TEAM_SIZE
+
 NEARER = 0.05  # of the gap at first, where the first iterate is near the last one
-WORTH = 1e-2  # of the time, to which the least one is found: nearer to it, jerk jumps from limit to limit between two nodes
-MOST = 40  # steps
-NEAR = 0.97  # of the way to the nearest limit that a step goes
-
-
-class Rows(NamedTuple):
-    """Limits of both sides, x, of r quantities at k nodes, each linear in b there and at its two neighbours:
-
-        +-(before[i] b[i-1] + after[i] b[i+1]) + here[x, :, i] b[i] <= right[x, :, i]
-
-    with before, after (r, k), here (2, r, k), right (2, r', k) of the first r' quantities, and 1 / sqrt(b) of the others."""
-
-    before: np.ndarray
-    here: np.ndarray
-    after: np.ndarray
-    right: np.ndarray
-
-    def times(self, x: np.ndarray, here: np.ndarray) -> np.ndarray:
-        """The left sides (2, r, k) of x (k,)."""
-        found, beside = here * x, np.empty_like(self.before)
-        beside[:, 0] = 0.0
-        np.multiply(self.before[:, 1:], x[:-1], out=beside[:, 1:])
-        beside[:, :-1] += self.after[:, :-1] * x[1:]
-        found[0] += beside
-        found[1] -= beside
-        return found
-
-    def gathered(self, y: np.ndarray, here: np.ndarray) -> np.ndarray:
-        """The sums (k,) of rows by y (2, r, k): the transposed of `times`."""
-        found, both = np.einsum("xrk,xrk->k", here, y), y[0] - y[1]
-        found[:-1] += np.einsum("rk,rk->k", self.before, both)[1:]
-        found[1:] += np.einsum("rk,rk->k", self.after, both)[:-1]
-        return found
-
-    def squared(self, y: np.ndarray, here: np.ndarray) -> np.ndarray:
-        """The upper band (3, k) of the transposed times y (2, r, k) times the rows."""
-        found, middle, both = np.zeros((3, y.shape[2])), here * y, y[0] + y[1]
-        before, after, across = self.before * both, self.after * both, middle[0] - middle[1]
-        found[2] = np.einsum("xrk,xrk->k", middle, here)
-        found[2, :-1] += np.einsum("rk,rk->k", before, self.before)[1:]
-        found[2, 1:] += np.einsum("rk,rk->k", after, self.after)[:-1]
-        found[1, 1:] = np.einsum("rk,rk->k", across, self.before)[1:] + np.einsum("rk,rk->k", across, self.after)[:-1]
-        found[0, 2:] = np.einsum("rk,rk->k", before, self.after)[1:-1]
-        return found
+SMALLEST, BEHIND = 320, 3  # nodes of a table at least, and of those behind the last one, which count for nothing
+FASTEST = 1e12  # dtau/dt squared, where nothing moves
 
 
 class Known(NamedTuple):
@@ -87,109 +50,52 @@ class Known(NamedTuple):
     within: np.ndarray
 
 
-def fastest_warp(known: Known, begin: np.ndarray | None = None) -> np.ndarray:
-    """(dtau/dt)^2 (k,) at the nodes of a known motion, by which it takes the least time within its limits; sooner from what it
-    is within limits that are much the same."""
-    rows = _rows(known)
-    most = 1.0 / np.maximum(np.max((known.first / known.velocity) ** 2, axis=0), 1e-12)
-    weights = np.full(len(most), known.step)
-    weights[[0, -1]] *= 0.5
-    b = np.ones(len(most)) if begin is None else begin
-    return _interior(rows, most, weights, b * _share(rows, most, b), 1.0 if begin is None else NEARER)
+def fastest_warp(known: Sequence[Known], begin: Sequence[np.ndarray | None]) -> list[np.ndarray]:
+    """(dtau/dt)^2 (k,) at the nodes of each of some known motions, by which it takes the least time within its limits; sooner
+    from what it is within limits that are much the same, where that is given. Each is as it is alone."""
+    found: dict[int, np.ndarray] = {}
+    kinds = [(_nodes(each.first.shape[1]), each.linear.shape[1], len(each.first)) for each in known]
+    for nodes, linear, curved in sorted(set(kinds)):
+        some = [i for i, kind in enumerate(kinds) if kind == (nodes, linear, curved)]
+        number = np.arange(TEAM_SIZE * -(-(linear + curved) // TEAM_SIZE)).reshape(-1, TEAM_SIZE)
+        rows = np.zeros((len(Rows._fields) - 2, len(some), nodes, number.size))
+        columns = [np.stack(x) for x in zip(*(_given(known[i], begin[i], nodes) for i in some), strict=True)]
+        for k, i in enumerate(some):
+            _fill(rows[:, k], known[i])
+        tables = rows.reshape(*rows.shape[:3], -1, TEAM_SIZE)
+        of_lanes = 1.0 * ((number >= linear) & (number < linear + curved)), 1.0 * (number < linear + curved)
+        (solved,) = in_blocks(SOLVED, *columns, *tables, size=1, fixed=of_lanes, double=True)
+        found |= {i: b[: known[i].first.shape[1]] for i, b in zip(some, solved, strict=True)}
+    return [found[i] for i in range(len(known))]
 
 
-def _share(rows: Rows, most: np.ndarray, b: np.ndarray) -> float:
-    """The share of b that keeps all limits, with `ROOM`."""
-    left, linear = rows.times(b, rows.here), rows.right.shape[1]
-    used = [
-        np.max(b / most),
-        np.max(left[:, :linear] / rows.right, initial=0.0),
-        np.max(left[:, linear:] * np.sqrt(b), initial=0.0) ** (2.0 / 3.0),
-    ]
-    return float(1.0 / (ROOM * max(*used, 1e-9)))
+def _nodes(count: int) -> int:
+    """The nodes of a table: few sizes, so that programs are few."""
+    return int(SMALLEST * 2 ** max(0, np.ceil(np.log2((count + BEHIND) / SMALLEST))))
 
 
-def _rows(known: Known) -> Rows:
-    """The limits by b of three neighbouring nodes."""
+def _given(known: Known, begin: np.ndarray | None, nodes: int) -> tuple[Any, ...]:
+    """A motion without its limits, as the solver takes it: how many nodes there are and how far apart, where to begin, how far
+    above the least time that is, and the greatest b."""
+    count = known.first.shape[1]
+    most, start = np.full(nodes, FASTEST), np.ones(nodes)
+    most[:count] = 1.0 / np.maximum(np.max((known.first / known.velocity) ** 2, axis=0), 1.0 / FASTEST)
+    start[:count] = 1.0 if begin is None else begin
+    return np.int32(count), np.float64(known.step), start, np.float64(1.0 if begin is None else NEARER), most
+
+
+def _fill(rows: np.ndarray, known: Known) -> None:
+    """Puts the limits by b of three neighbouring nodes into tables (6, nodes, lanes) of zeros."""
+    linear, count, every = known.linear.shape[1], known.first.shape[1], known.linear.shape[1] + len(known.first)
     beside, here = known.linear[1] / (2.0 * known.step), known.linear[0]
     change = 0.75 / known.step * known.second / known.jerk
     bend = 0.5 / known.step**2 * known.first / known.jerk
     greatest, least = known.third / known.jerk
-    return Rows(
-        np.concatenate([-beside, bend - change]),
-        np.concatenate([[here, -here], [greatest - 2.0 * bend, 2.0 * bend - least]], axis=1),
-        np.concatenate([beside, bend + change]),
-        known.within,
-    )
-
-
-class _State(NamedTuple):
-    """An iterate: b (k,), the room of the rows and of the greatest b, and their multipliers."""
-
-    b: np.ndarray
-    room: np.ndarray
-    above: np.ndarray
-    pull: np.ndarray
-    press: np.ndarray
-
-    @property
-    def gap(self) -> float:
-        """The room of all limits, weighed: how far the time is above the least one at most, with these tangents."""
-        return float(np.vdot(self.room, self.pull) + np.vdot(self.above, self.press))
-
-
-def _interior(rows: Rows, most: np.ndarray, weights: np.ndarray, b: np.ndarray, gap: float) -> np.ndarray:
-    """The b (k,) below `most` of the least `weights . 1 / sqrt(b)`, from one that keeps all rows, and multipliers by which that
-    is about this share above the least time."""
-    room, above = _room(rows, b), most - b
-    centre = gap * np.sum(weights / np.sqrt(b)) / (room.size + above.size)
-    state = _State(b, room, above, centre / room, centre / above)
-    for _ in range(MOST):
-        if state.gap < WORTH * np.sum(weights / np.sqrt(state.b)):
-            break
-        state = _stepped(state, rows, most, weights)
-    return state.b
-
-
-def _room(rows: Rows, b: np.ndarray) -> np.ndarray:
-    """The right sides less the left ones (2, r, k)."""
-    room, linear = -rows.times(b, rows.here), rows.right.shape[1]
-    room[:, :linear] += rows.right
-    room[:, linear:] += 1.0 / np.sqrt(b)
-    return room
-
-
-def _stepped(now: _State, rows: Rows, most: np.ndarray, weights: np.ndarray) -> _State:
-    """The next iterate: Newton's step to the limits themselves tells how far this one may go, and what it curves by
-    [Mehrotra 1992]."""
-    from scipy.linalg.lapack import dpbtrf, dpbtrs
-
-    here = rows.here.copy()
-    here[:, rows.right.shape[1] :] += 0.5 * now.b**-1.5  # the tangents of 1 / sqrt(b)
-    stiff, hard = now.pull / now.room, now.press / now.above
-    matrix = rows.squared(stiff, here)
-    matrix[2] += hard + 0.75 * weights * now.b**-2.5
-    factor, _ = dpbtrf(matrix)
-    slope = -0.5 * weights * now.b**-1.5
-
-    def newton(wanted: np.ndarray, beyond: np.ndarray) -> tuple[np.ndarray, ...]:
-        """The step of b, by how much it takes of the room, and the steps of the multipliers, to such multipliers."""
-        db, _ = dpbtrs(factor, -(slope + rows.gathered(wanted, here) + beyond))
-        taken = rows.times(db, here)
-        return db, taken, wanted - now.pull + stiff * taken, beyond - now.press + hard * db
-
-    def lengths(step: tuple[np.ndarray, ...], near: float) -> tuple[float, float]:
-        """How far the iterate and the multipliers may go."""
-        db, taken, dpull, dpress = step
-        primal = max(np.max(taken / now.room), np.max(db / now.above), np.max(-db / now.b), near)
-        return near / primal, near / max(np.max(-dpull / now.pull), np.max(-dpress / now.press), near)
-
-    affine = newton(np.zeros_like(now.pull), np.zeros_like(now.press))
-    (db, taken, dpull, dpress), (far, dual) = affine, lengths(affine, 1.0)
-    left = np.vdot(now.room - far * taken, now.pull + dual * dpull) + np.vdot(now.above - far * db, now.press + dual * dpress)
-    centre = now.gap / (now.room.size + now.above.size) * float(np.clip((left / now.gap) ** 3, 0.01, 0.9))
-    curved, bent = (far * dual) * taken * dpull, (far * dual) * db * dpress
-    step = newton((centre + curved) / now.room, (centre + bent) / now.above)
-    far, dual = lengths(step, NEAR)
-    b = now.b + far * step[0]
-    return _State(b, _room(rows, b), most - b, now.pull + dual * step[2], now.press + dual * step[3])
+    before, after, upper, lower, high, low = (x[:count].T for x in rows)
+    before[:linear], before[linear:every] = -beside, bend - change
+    after[:linear], after[linear:every] = beside, bend + change
+    upper[:linear], upper[linear:every] = here, greatest - 2.0 * bend
+    lower[:linear], lower[linear:every] = -here, 2.0 * bend - least
+    before[:, 0], after[:, -1] = 0.0, 0.0
+    rows[4:] = 1.0
+    high[:linear], low[:linear] = known.within

@@ -55,6 +55,8 @@ def separated(
         return False
     n = robot.num_joints
     for first, last in _parts(model, scene, space, start, goals[0]):
+        if last - first < n and not model.tree.serial:
+            continue  # a tree has no such parts
         some = slice(first, last)
         part = model.part(first, last, base=True) if last - first < n else model
         about = None if first else scene

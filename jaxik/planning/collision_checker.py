@@ -54,6 +54,13 @@ class CollisionChecker:
         self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, robot) if self.world.body.carried else robot)
         self.checked = 0
 
+    def prepare(self) -> None:
+        """Has what proves motions made beside what is asked first."""
+        still, shared = (1, 2 * len(self.weights) + 1), (np.float32(RESOLUTION),)
+        for world in (self.world,) if self.volumes is None else (self.volumes, self.world):
+            ask = lambda world=world: world.each(_moves, np.zeros(still, np.float32), None, sized=True, shared=shared)
+            world.ahead(_moves, ask)
+
     def length(self, moved: np.ndarray) -> np.ndarray:
         """The length of differences (..., n) between configurations [m]."""
         return np.linalg.norm(moved * self.weights, axis=-1)

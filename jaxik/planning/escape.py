@@ -24,6 +24,7 @@ from jaxik.spmd.host import host_kernels
 
 BEYOND = 2.0 * RESOLUTION  # [m] of clearance more than the margin at which it ends, so that what follows is easily proven
 STEP, FINE = 0.02, 5e-4  # [m] of one step at most, and between samples at which the clearance must not have fallen
+FURTHEST = 100.0  # [m] of a line, beyond which a start is no posture but a mistake, in degrees or counts
 STEPS = 500  # of all, also those that did not rise
 LEAST = 1e-5  # [m] of a step, below which there is no way further
 RISES = 0.1  # of what the slopes promise, from which on a step is taken
@@ -50,12 +51,17 @@ def escaped(
     return np.array(_thinned(depths, way, first)) if free else None
 
 
+def led_out(way_out: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """The way out (j, n) and the way (k, n) that begins where it ends, unless that does not move."""
+    return way_out if (way == way[0]).all() else np.concatenate([way_out[:-1], way])
+
+
 class Depths:
     """Measures the signed clearance of one robot in one scene [m], and how it changes with the joints' lengths [1]."""
 
     def __init__(self, space: CollisionChecker, robot: Robot, scene: Scene | None):
         self.space = space
-        self.weights = np.maximum(space.weights, 1e-3 * space.weights.max())
+        self.weights = np.maximum(space.weights, 1e-3 * (space.weights.max() or 1.0))  # of what moves nothing, too
         self.robot, carried = apart(robot)
         self.fixed = jax.tree_util.tree_map(np.asarray, grouped(scene, robot)), carried
 
@@ -66,8 +72,12 @@ class Depths:
         return value, np.nan_to_num(slope) / self.weights
 
     def rises(self, begin: np.ndarray, end: np.ndarray) -> bool:
-        """Whether the clearance falls nowhere on a straight line that it is below the margin."""
-        samples = int(np.ceil(np.abs((end - begin) * self.weights).sum() / FINE)) + 1
+        """Whether the clearance falls nowhere on a straight line that it is below the margin; false of a line too long to be
+        looked at."""
+        long = np.abs((end - begin) * self.weights).sum()
+        if long > FURTHEST:
+            return False
+        samples = int(np.ceil(long / FINE)) + 1
         value = np.minimum(self.of(np.linspace(begin, end, samples + 1))[0], self.space.margin)
         return bool((np.diff(value) >= -ROUNDING).all())
 

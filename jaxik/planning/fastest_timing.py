@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.checks.options import as_count
 from jaxik.optimise.time_scaling import fastest
 from jaxik.planning import limits as drive_limits
 from jaxik.planning.limits import Drives, Limits
@@ -29,7 +28,7 @@ def fastest_along(
     """The lengths, curves, times, places and speeds of the least time along paths (N, ...), within limits (N, n) and what the
     drives give."""
     lengths, curve, k = np.asarray(path.lengths), np.asarray(path.coefficients), np.shape(path.lengths)[1]
-    parts = max(FINE, -(-MANY // k)) if places is None else max(LEAST, -(-as_count("time_path: places", places) // k))
+    parts = max(FINE, -(-MANY // k)) if places is None else max(LEAST, -(-places // k))
     known = np.isfinite(lengths).all(axis=1) & np.isfinite(curve).all(axis=(1, 2, 3))
     if drives is None:
         (squares,) = in_blocks(_fastest(parts), curve, lengths, *limits, double=True)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.planning.collision_checker import CollisionChecker
-from jaxik.planning.limits import Limits
+from jaxik.planning.limits import AnyLimits
 from jaxik.planning.motion_ends import other_ways
 from jaxik.planning.ways import Found, proven_ways
 
@@ -30,7 +30,7 @@ def searched(
     seed: int | tuple[int, int],
     rounds: np.ndarray,
     until: float,
-    limits: Limits,
+    limits: AnyLimits,
     told: Callable[[int, int], Any],
     among: np.ndarray,
 ) -> Found:
@@ -76,7 +76,7 @@ def _compare(
     others: Sequence[np.ndarray],
     seed: int | tuple[int, int],
     until: float,
-    limits: Limits,
+    limits: AnyLimits,
     among: np.ndarray,
 ) -> None:
     """Replaces ways by sooner ones to goals that a straight line would reach sooner than they come to theirs."""
@@ -103,6 +103,6 @@ def _compare(
                 found.ways[i], lasts[i] = way, _lasts(limits, way)
 
 
-def _lasts(limits: Limits, way: np.ndarray) -> float:
+def _lasts(limits: AnyLimits, way: np.ndarray) -> float:
     """The time of a way with a stop at each waypoint [s]."""
     return float(limits.straight(np.diff(way, axis=0)).sum())

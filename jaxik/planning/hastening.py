@@ -31,28 +31,34 @@ Posed = Callable[[np.ndarray, np.ndarray], Problem]
 
 
 def hastened(
-    judge: Judge, posed: Posed, points: np.ndarray, iterations: int, multipliers: np.ndarray | None = None
+    judge: Judge,
+    posed: Posed,
+    points: np.ndarray,
+    iterations: int,
+    among: np.ndarray,
+    multipliers: np.ndarray | None = None,
 ) -> tuple[np.ndarray, collocation.Found]:
-    """The fastest motions from control points (b, M, n), and which of them are proven free and have their targets (b,).
-    `posed(rows, extra)` is the problem of some of them with so much room (r, N + 1) [m] at knots."""
+    """The fastest motions from control points (b, M, n), each `among` what is in a scene (b,), and which of them are proven
+    free and have their targets (b,). `posed(rows, extra)` is the problem of some of them with so much room (r, N + 1) [m] at
+    knots."""
     every, degree = np.arange(len(points)), judge.options.degree
     extra = np.full((len(points), points.shape[1] - degree + 1), CUSHION)
     found = _faster(judge, posed(every, extra), points, round(FIRST * iterations), multipliers)
     for number in range(MENDS + 1):
-        kept, short = judge.kept(posed(every, extra), found), judge.short(found.points)
+        kept, short = judge.kept(posed(every, extra), found), judge.short(found.points, among)
         proven = (kept == Reason.SOLVED) & ~short.any(axis=1)
         at = np.flatnonzero(~proven & (short.max(axis=1, initial=0.0) < DEEP))
         if not len(at) or number == MENDS:
             break
         extra[at, 1:-1] += MORE * at_knots(short[at])[:, 1:-1]
-        begin = _back(judge, points[at], found.points[at], extra[at])
+        begin = _back(judge, points[at], found.points[at], extra[at], among[at])
         again = _faster(judge, posed(at, extra[at]), begin, round(AGAIN * iterations), found.multipliers[at])
         again = again._replace(iterations=found.iterations[at] + again.iterations)
         found = jax.tree_util.tree_map(lambda old, new: put(old, at, new), found, again)  # noqa: B023
     return proven, found
 
 
-def _back(judge: Judge, first: np.ndarray, last: np.ndarray, extra: np.ndarray) -> np.ndarray:
+def _back(judge: Judge, first: np.ndarray, last: np.ndarray, extra: np.ndarray, among: np.ndarray) -> np.ndarray:
     """The points (b, M, n) from the last back to the first ones where the motion has all its room, or lacks the least of it:
     from within what it is to keep away from no step leads out."""
     if judge.space is None:
@@ -60,7 +66,7 @@ def _back(judge: Judge, first: np.ndarray, last: np.ndarray, extra: np.ndarray) 
     lacks = []
     for share in BACK:
         q = splines.applied(splines.VALUE[judge.options.degree], first + share * (last - first))
-        near = judge.terms.clearance(q.reshape(-1, q.shape[2])).reshape(q.shape[:2])
+        near = judge.terms.clearance(q, among)
         lacks.append(np.maximum(judge.margin + extra - near, 0.0)[:, 1:-1].max(axis=1))
     best = np.argmin(lacks, axis=0)  # the first of those that lack nothing
     return first + np.array(BACK)[best][:, None, None] * (last - first)

@@ -14,47 +14,31 @@ too.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
-from jaxik.optimise.jerk_scaling import Known, fastest_warp
-from jaxik.planning import limits as drive_limits
+from jaxik.optimise.jerk_scaling import fastest_warp
 from jaxik.planning.fastest_timing import fastest_along
-from jaxik.planning.limits import WITHIN, Drives, Limits
+from jaxik.planning.limits import Drives, Limits
+from jaxik.planning.path_parts import Part, known_motions, parts_of, used
 from jaxik.planning.s_curve import double_s, integrated
 from jaxik.planning.trajectory import JointPath, along_pieces, padded
 from jaxik.planning.way_law import Law, averaged, driven
 
 MOMENTS = 300  # by default
 FEWEST = 64  # moments of a part between two stops
+ROUGH = 500  # places of a motion without a limit of the jerk
 RAMP, SOFTER = 0.25, 3  # of the time; turns in which accelerations are found that the jerk reaches in it
 TURNS, MOST = 3, 6  # in which limits are drawn in where they were missed: at least, and while they are missed
 MISSED = 1.05  # times the time, by which all of the motion would have to be slower
 ABOUT = 1  # moments beside those
-ENDS = 3  # moments at rest, where the averaged motion has all the jerk of its beginning, and the spline has not
 RISE = 3  # moments in which accelerations may rise at least
-JUMP = 1e-9  # of a direction or a bend
 FALLS = np.array([1.0, 2.0, 3.0, 2.0])  # powers of the slowness, with which velocity, acceleration, jerk and torque fall
-
+TOGETHER = 16  # parts in one call: what they take stays in the caches
 
 UNKNOWN = Law(*np.full((4, 2), np.nan))
-
-
-class _Part(NamedTuple):
-    """Pieces (k,), (k, 4, n) between two stops, and what limits the motion along them, (n,) each."""
-
-    lengths: np.ndarray
-    curve: np.ndarray
-    limits: Limits
-    jerk: np.ndarray
-    drives: Drives | None
-
-    def pieces_at(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The piece of each s, and the way since its beginning."""
-        ends = np.cumsum(self.lengths)
-        piece = np.minimum(np.searchsorted(ends, s, side="right"), len(ends) - 1)
-        return piece, np.clip(s - (ends - self.lengths)[piece], 0.0, self.lengths[piece])
+Rough = tuple[np.ndarray, ...]  # times, places and speeds of a motion whose accelerations jump
 
 
 def smooth_along(
@@ -65,51 +49,55 @@ def smooth_along(
     lengths, curve = np.asarray(path.lengths), np.asarray(path.coefficients)
     if drives is not None and single:
         fastest_along(path, limits, drives, None, single)  # which says where they cannot hold the arm
-    count = MOMENTS if places is None else max(FEWEST, places)
     rows = zip(lengths, curve, limits.velocity, limits.acceleration, jerk, strict=True)
-    laws = [_along(_Part(h, c, Limits(v, a), j, drives), count) for h, c, v, a, j in rows]
+    laws = smooth_laws([Part(h, c, Limits(v, a), j, drives) for h, c, v, a, j in rows], places)
     most = max((len(law.time) for law in laws), default=2)
     filled = [[np.pad(x, (0, most - len(x)), mode="edge") for x in law] for law in laws]
     return lengths, curve, *np.reshape(filled, (len(laws), 4, most)).swapaxes(0, 1)
 
 
-def _along(whole: _Part, count: int) -> Law:
-    """The law along all of a path, part after part; NaN where it holds NaN, or a drive cannot hold the arm."""
-    if not (np.isfinite(whole.lengths).all() and np.isfinite(whole.curve).all()):
-        return UNKNOWN
-    parts = _parts(whole)
-    straight = [not part.curve[:, :2].any() and part.drives is None for part in parts]
-    rough = [None if line else _rough(part) for line, part in zip(straight, parts, strict=True)]
-    lasts = np.array([0.0 if law is None else law[0][-1] for law in rough])
-    if not np.isfinite(lasts).all():
-        return UNKNOWN
-    laws = [Law(*np.zeros((4, 2)))]
-    for part, law, share in zip(parts, rough, lasts / max(lasts.sum(), 1e-300), strict=True):
-        found = _line(part) if law is None else _curved(part, law, max(FEWEST, int(np.ceil(share * count))))
-        begin = laws[-1]
-        laws.append(found._replace(time=found.time + begin.time[-1], place=found.place + begin.place[-1]))
-    if len(laws) > 1:
-        laws = laws[1:]
-        laws[-1].place[-1] = whole.lengths.sum()
-    return Law(*map(np.concatenate, zip(*laws, strict=True)))
+def smooth_laws(wholes: Sequence[Part], places: int | None) -> list[Law]:
+    """The laws along all of each of some paths, which are as they are alone; NaN where one holds NaN, or a drive cannot hold
+    the arm."""
+    count = MOMENTS if places is None else max(FEWEST, places)
+    finite = [np.isfinite(whole.lengths).all() and np.isfinite(whole.curve).all() for whole in wholes]
+    parts = [parts_of(whole) if known else [] for whole, known in zip(wholes, finite, strict=True)]
+    every = [part for some in parts for part in some]
+    bent = [i for i, part in enumerate(every) if not part.straight]
+    rough = dict(zip(bent, _rough([every[i] for i in bent]), strict=True))
+    lasts = np.array([rough[i][0][-1] if i in rough else 0.0 for i in range(len(every))])
+    of = np.repeat(np.arange(len(wholes)), [len(some) for some in parts])
+    each = [lasts[of == i] for i in range(len(wholes))]
+    holds = np.array([bool(known and np.isfinite(x).all()) for known, x in zip(finite, each, strict=True)], bool)
+    shares = np.concatenate([x / max(x.sum(), 1e-300) for x in each]) if each else np.zeros(0)
+    bent = [i for i in bent if holds[of[i]]]
+    counts = [max(FEWEST, int(np.ceil(shares[i] * count))) for i in bent]
+    found: dict[int, Law] = {}
+    for first in range(0, len(bent), TOGETHER):
+        some = slice(first, first + TOGETHER)
+        laws = _curved([every[i] for i in bent[some]], [rough[i] for i in bent[some]], counts[some])
+        found |= dict(zip(bent[some], laws, strict=True))
+    joined = []
+    for i, whole in enumerate(wholes):
+        numbers = np.flatnonzero(of == i).tolist() if holds[i] else []
+        laws = [found[k] if k in found else _line(every[k]) for k in numbers]
+        joined.append(_joined(laws, float(whole.lengths.sum())) if holds[i] else UNKNOWN)
+    return joined
 
 
-def _parts(whole: _Part) -> list[_Part]:
-    """The parts between the places where the direction or the bend jumps, without pieces of no length."""
-    kept = np.flatnonzero(whole.lengths > 0.0)
-    if not len(kept):
-        return []
-    lengths, curve = whole.lengths[kept], whole.curve[kept]
-    (_, *begin), (_, *end) = (along_pieces(curve, x) for x in (np.zeros_like(lengths), lengths))
-    jumps = np.zeros(len(kept) - 1, bool)
-    for first, last in zip(begin, end, strict=True):
-        size = JUMP * (1.0 + max(np.abs(first).max(), np.abs(last).max()))
-        jumps |= (np.abs(first[1:] - last[:-1]) > size).any(axis=1)
-    stops = np.flatnonzero(jumps) + 1
-    return [whole._replace(lengths=h, curve=c) for h, c in zip(np.split(lengths, stops), np.split(curve, stops), strict=True)]
+def _joined(laws: list[Law], length: float) -> Law:
+    """Laws one after the other, over so much way in all."""
+    if not laws:
+        return Law(*np.zeros((4, 2)))
+    last, moved = (0.0, 0.0), []
+    for law in laws:
+        moved.append(law._replace(time=law.time + last[0], place=law.place + last[1]))
+        last = float(moved[-1].time[-1]), float(moved[-1].place[-1])
+    moved[-1].place[-1] = length
+    return Law(*map(np.concatenate, zip(*moved, strict=True)))
 
 
-def _line(part: _Part) -> Law:
+def _line(part: Part) -> Law:
     """The seven phases of a line."""
     length, slope = part.lengths.sum(), np.abs(part.curve[0, 2])
     with np.errstate(divide="ignore"):  # a joint that does not move has nothing to say
@@ -119,49 +107,90 @@ def _line(part: _Part) -> Law:
     return Law(time, np.append(place, length), np.append(speed, 0.0), np.append(2.0 * half, 0.0))
 
 
-def _fastest(part: _Part) -> tuple[np.ndarray, ...]:
-    """The times, places and speeds of the fastest motion without a limit of the jerk."""
-    pieces = padded(JointPath(part.lengths, part.curve), 2 ** max(2, int(np.ceil(np.log2(len(part.lengths))))))
-    limits = Limits(*(x[None] for x in part.limits))
-    found = fastest_along(JointPath(pieces.lengths[None], pieces.coefficients[None]), limits, part.drives, None, False)
-    return tuple(x[0] for x in found[2:])
+def _fastest(parts: Sequence[Part]) -> list[Rough]:
+    """The times, places and speeds of the fastest motions without a limit of the jerk; those of as many pieces together."""
+    sizes = [2 ** max(2, int(np.ceil(np.log2(len(part.lengths))))) for part in parts]
+    found: dict[int, Rough] = {}
+    for size in sorted(set(sizes)):
+        some = [i for i, other in enumerate(sizes) if other == size]
+        pieces = [padded(JointPath(parts[i].lengths, parts[i].curve), size) for i in some]
+        path = JointPath(np.stack([x.lengths for x in pieces]), np.stack([x.coefficients for x in pieces]))
+        limits = Limits(*(np.stack(x) for x in zip(*(parts[i].limits for i in some), strict=True)))
+        timed = fastest_along(path, limits, parts[some[0]].drives, ROUGH, False)[2:]
+        found |= {i: row for i, *row in zip(some, *timed, strict=True)}  # type: ignore[misc]
+    return [found[i] for i in range(len(parts))]
 
 
-def _rough(part: _Part) -> tuple[np.ndarray, ...]:
-    """The `_fastest` motion within such accelerations as the jerk reaches in a share of its time `RAMP`, by its own time, which
-    goes as one over the acceleration's root."""
-    rough = _fastest(part)
+def _rough(parts: Sequence[Part]) -> list[Rough]:
+    """The `_fastest` motions within such accelerations as the jerk reaches in a share of their time `RAMP`, by their own time,
+    which goes as one over the acceleration's root."""
+    rough, open_ = _fastest(parts), list(range(len(parts)))
     for _ in range(SOFTER):
-        width, most = _rise(part, *rough), RAMP * rough[0][-1]
-        if not most < width < np.inf:
-            break
-        width = float(np.cbrt(most * most * width))
-        limits = part.limits._replace(acceleration=np.minimum(part.limits.acceleration, part.jerk * width))
-        rough = _fastest(part._replace(limits=limits))
+        widths = {i: (_rise(parts[i], *rough[i]), RAMP * float(rough[i][0][-1])) for i in open_}
+        open_ = [i for i, (width, most) in widths.items() if most < width < np.inf]
+        softer = [_softened(parts[i], float(np.cbrt(widths[i][1] ** 2 * widths[i][0]))) for i in open_]
+        for i, again in zip(open_, _fastest(softer), strict=True):
+            rough[i] = again
     return rough
 
 
-def _curved(part: _Part, rough: tuple[np.ndarray, ...], count: int) -> Law:
-    """The law along a part, in so many moments, from a `rough` one whose accelerations jump."""
-    time, place, speed = rough
-    width = min(max(_rise(part, *rough), RISE * time[-1] / count), 0.5 * time[-1])
-    known = averaged(time, place, speed, width, count)
-    share = np.ones((len(FALLS), len(part.jerk), len(known.time)))
-    squares, laws = None, []
-    for turn in range(MOST):
-        squares = _warp(part, known, share, squares)
-        if squares is None:
-            return UNKNOWN
-        law = driven(known, squares, count)
-        used, at = _used(part, law)
-        if not np.isfinite(used).all():
-            return UNKNOWN
-        slower = float(np.max(used.max(axis=(1, 2)) ** (1.0 / FALLS)))
-        laws.append(law.slower(slower))
-        if turn + 1 >= TURNS and slower < MISSED:
-            break
-        share *= _left(used, np.searchsorted(known.place, at), len(known.time))
-    return min(laws, key=lambda law: float(law.time[-1]))
+def _softened(part: Part, width: float) -> Part:
+    """A part with such accelerations as the jerk reaches in a time."""
+    acceleration = np.minimum(part.limits.acceleration, part.jerk * width)
+    return part._replace(limits=part.limits._replace(acceleration=acceleration))
+
+
+class _Turns:
+    """The turns in which the law along a part, in so many moments, is found from a rough one whose accelerations jump."""
+
+    def __init__(self, part: Part, rough: Rough, count: int):
+        time, place, speed = rough
+        width = min(max(_rise(part, *rough), RISE * time[-1] / count), 0.5 * time[-1])
+        self.part, self.count, self.number, self.ended = part, count, 0, False
+        self.known = averaged(time, place, speed, width, count)
+        self.share = np.ones((len(FALLS), len(part.jerk), len(self.known.time)))
+        self.squares: np.ndarray | None = None
+        self.laws: list[Law] = []
+
+    def warped(self, squares: np.ndarray) -> Law:
+        self.squares = squares
+        return driven(self.known, squares, self.count)
+
+    def judged(self, law: Law, uses: np.ndarray, at: np.ndarray) -> None:
+        """Takes up the law that was found, slowed down as its limits need, and draws them in where they were missed."""
+        if not np.isfinite(uses).all():
+            self.stopped()
+            return
+        slower = float(np.max(uses.max(axis=(1, 2)) ** (1.0 / FALLS)))
+        self.laws.append(law.slower(slower))
+        self.number += 1
+        self.ended = self.number >= MOST or (self.number >= TURNS and slower < MISSED)
+        if not self.ended:
+            self.share *= _left(uses, np.searchsorted(self.known.place, at), len(self.known.time))
+
+    def stopped(self) -> None:
+        """Ends where a drive cannot hold the arm."""
+        self.ended, self.laws = True, [UNKNOWN]
+
+    @property
+    def best(self) -> Law:
+        return min(self.laws, key=lambda law: float(law.time[-1]))
+
+
+def _curved(parts: Sequence[Part], rough: Sequence[Rough], counts: Sequence[int]) -> list[Law]:
+    """The laws along parts, each in so many moments, from rough ones whose accelerations jump."""
+    every = [_Turns(*each) for each in zip(parts, rough, counts, strict=True)]
+    while open_ := [each for each in every if not each.ended]:
+        known = known_motions([x.part for x in open_], [x.known for x in open_], [x.share for x in open_])
+        for each, motion in zip(open_, known, strict=True):
+            if motion is None:
+                each.stopped()
+        some = [(each, motion) for each, motion in zip(open_, known, strict=True) if motion is not None]
+        squares = fastest_warp([motion for _, motion in some], [each.squares for each, _ in some])
+        laws = [each.warped(x) for (each, _), x in zip(some, squares, strict=True)]
+        for (each, _), law, (uses, at) in zip(some, laws, used([each.part for each, _ in some], laws), strict=True):
+            each.judged(law, uses, at)
+    return [each.best for each in every]
 
 
 def _left(used: np.ndarray, node: np.ndarray, count: int) -> np.ndarray:
@@ -173,74 +202,10 @@ def _left(used: np.ndarray, node: np.ndarray, count: int) -> np.ndarray:
     return 1.0 / np.max([most[..., k : k + count] for k in range(2 * ABOUT + 1)], axis=0)
 
 
-def _rise(part: _Part, time: np.ndarray, place: np.ndarray, speed: np.ndarray) -> float:
+def _rise(part: Part, time: np.ndarray, place: np.ndarray, speed: np.ndarray) -> float:
     """The time [s] in which the jerk reaches the greatest acceleration."""
     step = np.diff(time)
     rate = np.divide(np.diff(speed), step, out=np.zeros_like(step), where=step > 0.0)
     piece, since = part.pieces_at(place[:-1])
     _, slope, bend = along_pieces(part.curve[piece], since)
     return float(np.max(np.abs(slope * rate[:, None] + bend * speed[:-1, None] ** 2) / part.jerk))
-
-
-def _warp(part: _Part, known: Law, share: np.ndarray, begin: np.ndarray | None) -> np.ndarray | None:
-    """(dtau/dt)^2 (m,) at the moments tau of a known law by which it takes the least time, with such a share of the limits
-    (4, n, m); None where a drive cannot hold the arm."""
-    step, (piece, since) = known.time[1], part.pieces_at(known.place)
-    curve, v, a = part.curve[piece], known.speed[:, None], known.acceleration[:, None]
-    q, slope, bend = along_pieces(curve, since)
-    jerk = 0.5 * (np.append(known.jerk[0], known.jerk) + np.append(known.jerk, known.jerk[-1]))
-    jerk[:ENDS], jerk[-ENDS:] = jerk[ENDS], jerk[-ENDS - 1]
-    before = np.maximum(np.arange(len(piece)) - 1, 0)
-    after = np.minimum(np.arange(len(piece)) + 1, len(piece) - 1)
-    twists = 6.0 * part.curve[:, 0][np.stack([piece[before], piece, piece[after]])]  # q''' jumps between pieces
-    third = np.stack([twists.max(axis=0), twists.min(axis=0)]) * v**3 + 3.0 * bend * v * a + slope * jerk[:, None]
-    first, second = slope * v, bend * v**2 + slope * a
-    columns = [np.stack([second, 0.5 * first]) / part.limits.acceleration]
-    within = [np.stack([share[1].T] * 2)]
-    if part.drives is not None:
-        by_change, by_square, still = drive_limits.along(part.drives, q, slope, bend)
-        moving, still = np.stack([by_change * a + by_square * v**2, 0.5 * by_change * v]), still / part.drives.torque
-        if np.abs(still).max() >= 1.0:
-            return None
-        columns.append(moving / part.drives.torque)
-        within.append(np.stack([1.0 - still, 1.0 + still]) * share[3].T)
-    linear, room = (np.concatenate(x, axis=2).swapaxes(1, 2) for x in (columns, within))
-    velocity, most = part.limits.velocity[:, None] * share[0], part.jerk[:, None] * share[2]
-    return fastest_warp(Known(step, first.T, second.T, third.swapaxes(1, 2), velocity, most, linear, room), begin)
-
-
-def _used(part: _Part, law: Law) -> tuple[np.ndarray, np.ndarray]:
-    """The shares (4, n, i) of the limits of velocity, acceleration and jerk, and of what holding the arm leaves of the torques,
-    between moments at which something jumps, and where that is (i,): at five moments, with room for what is between these.
-    Infinite where a drive cannot hold the arm."""
-    cuts = np.unique(np.concatenate([law.time, law.arrivals(np.cumsum(part.lengths)[:-1])]))
-    moments = cuts[:-1, None] + np.diff(cuts)[:, None] * WITHIN
-    i = law.interval(0.5 * (cuts[1:] + cuts[:-1]))[:, None]
-    s, v, a = law.moved(moments, i)
-    v, a, jerk = v[..., None], a[..., None], law.jerk[i][..., None]
-    piece = part.pieces_at(s[:, 2])[0]
-    begin = (np.cumsum(part.lengths) - part.lengths)[piece]
-    curve = part.curve[piece][:, None]
-    q, slope, bend = along_pieces(curve, np.clip(s - begin[:, None], 0.0, part.lengths[piece][:, None]))
-    values = slope * v, bend * v**2 + slope * a, 6.0 * curve[..., 0, :] * v**3 + 3.0 * bend * v * a + slope * jerk
-    used = [_reach(x) / most for x, most in zip(values, (*part.limits, part.jerk), strict=True)]
-    if part.drives is None:
-        used.append(np.zeros_like(used[0]))
-    else:
-        by_change, by_square, still = drive_limits.along(part.drives, q, slope, bend)
-        used.append(_of_torque(by_change * a + by_square * v**2, still, part.drives.torque))
-    return np.swapaxes(used, 1, 2), s[:, 2]
-
-
-def _reach(values: np.ndarray) -> np.ndarray:
-    """The greatest sizes (..., n) of what goes through values (..., w, n)."""
-    return np.abs(values).max(axis=-2) + drive_limits.off_chords(values)
-
-
-def _of_torque(moving: np.ndarray, still: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """The share (i, n) of what torques (i, w, n) leave to motion that it takes; infinite where they leave nothing."""
-    room, bent = drive_limits.off_chords(still), drive_limits.off_chords(moving)
-    left = [torque - (sign * still).max(axis=-2) - room for sign in (1.0, -1.0)]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shares = [((sign * moving).max(axis=-2) + bent) / x for sign, x in zip((1.0, -1.0), left, strict=True)]
-    return np.where(np.min(left, axis=0) > 0.0, np.maximum(np.max(shares, axis=0), 0.0), np.inf)

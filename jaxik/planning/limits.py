@@ -21,6 +21,7 @@ from jaxik.checks.arrays import numbers
 from jaxik.checks.options import shown
 from jaxik.dynamics.recursions import inverse_dynamics
 from jaxik.kinematics.robot import Robot, need_bodies
+from jaxik.planning.s_curve import double_s
 from jaxik.planning.trajectory import along_pieces
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
@@ -53,6 +54,34 @@ class Limits(NamedTuple):
         full = fastest**2 < brisk  # it has its full speed for a while
         trapezoid = 1.0 / np.where(full, fastest, 1.0) + np.where(full, fastest, 1.0) / brisk
         return np.where(full, trapezoid, 2.0 / np.sqrt(brisk))  # 0 of what stands still
+
+    def least(self, moved: np.ndarray) -> np.ndarray:
+        """The time that no motion over `moved` (..., n) from rest to rest is below [s]: that of the joint that needs most."""
+        return self.straight(moved[..., None] * np.eye(moved.shape[-1])).max(axis=-1)
+
+    def within(self, jerk: np.ndarray | None) -> Limits | JerkLimits:
+        """These limits, and one of the jerk (n,) where there is one."""
+        return self if jerk is None else JerkLimits(*self, jerk)
+
+
+class JerkLimits(NamedTuple):
+    """Limits of velocity, acceleration and jerk (n,)."""
+
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+
+    def straight(self, moved: np.ndarray) -> np.ndarray:
+        """The time of straight motions over `moved` (..., n) from rest to rest [s], in seven phases."""
+        with np.errstate(divide="ignore"):  # a joint that does not move has nothing to say
+            return double_s(*(np.min(most / np.abs(moved), axis=-1) for most in self))[0].sum(axis=-1)
+
+    def least(self, moved: np.ndarray) -> np.ndarray:
+        """The time that no motion over `moved` (..., n) from rest to rest is below [s]: that of the joint that needs most."""
+        return self.straight(moved[..., None] * np.eye(moved.shape[-1])).max(axis=-1)
+
+
+AnyLimits = Limits | JerkLimits
 
 
 def limit_of(who: str, name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -15,7 +15,7 @@ from jaxik.ik.sqp_programs import solve_errors
 from jaxik.kinematics.joint_turns import TURN, endless, nearest_turns
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
-from jaxik.planning.limits import Limits
+from jaxik.planning.limits import AnyLimits
 from jaxik.reasons import Reason
 
 MOST = 512  # answers of a pose, turns of the same posture among them, that are looked through
@@ -128,7 +128,7 @@ def postures(
     starts: np.ndarray,
     poses: np.ndarray,
     count: int,
-    limits: Limits,
+    limits: AnyLimits,
     seed: int,
     task: Task,
     margin: float,
@@ -149,7 +149,7 @@ def postures(
         choice="closest",
         norm="linf",
         reference=np.nan_to_num(starts),  # NaN is told of later
-        weights=1.0 / np.minimum(*limits),
+        weights=1.0 / np.minimum(limits.velocity, limits.acceleration),
     )
     found = solve_ik(robot, poses, scene=scene, seed=seed, options=asked)
     nearest = nearest_turns(robot, found.solutions, starts[:, None], lower, upper)

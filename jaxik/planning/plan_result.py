@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import sys
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from jaxik.collision.contact_report import Contact, Limit, explain
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
+from jaxik.planning.offenders import deepest, looked_up
 from jaxik.reasons import Reason
 from jaxik.results import Result, by_row
 
@@ -24,7 +24,6 @@ HELP = {
     Reason.INVALID: "give finite numbers",
 }
 ESCAPES = "escape=True leads out of it first"
-NAMED = 100  # failures of a batch, at most, of which `why` names what is in the way; `moved[i].why` does of every other
 LOOKS = 17  # configurations between the trees of a search, of which is told what they hit
 
 
@@ -53,6 +52,8 @@ class PlanResult(Result):
     trajectory: a `Trajectory`, or None.
     length, bound: the length of the straight lines between the waypoints, and of the one to the nearest goal, which no way is
     shorter than; joints weighted by the most that their unit moves the robot [m]. NaN where there is no motion.
+    least_duration: the time that no motion to the nearest goal is below [s]: of the joint that needs most for itself. NaN where
+        there is no motion, as of a roadmap's `way`.
     rounds, checked: how many rounds of the search were taken, and how many configurations were checked for collision.
     goal: the number of the goal that is reached, where there are several; -1 where none is.
     turns (n,): by how many full turns of its joints without limits the last waypoint is beyond the goal as it was given.
@@ -74,6 +75,7 @@ class PlanResult(Result):
     escaped: Any = 0
     stuck: Any = None
     planned_in: Any = by_row(default=None)  # a `Place`
+    least_duration: Any = float("nan")
     ROW: ClassVar = "motion"
     HELP: ClassVar = HELP
 
@@ -81,39 +83,51 @@ class PlanResult(Result):
     def offenders(self) -> tuple[Any, ...]:
         """The `Contact`s below the margin, deepest first, or the `Limit`s passed, of a start or goal that is refused; of a
         search that found no way the contacts where its trees came nearest to each other, straight from one to the other. ()
-        where nothing is in the way; a batch has one such tuple a motion. Looked up when first asked."""
-        if not self.single:
-            return tuple(row.offenders for row in self)
+        where nothing is in the way; a batch has one such tuple a motion. Looked up when first asked, of all rows at once."""
+        rows = [self] if self.single else list(self)
+        asked = [i for i, row in enumerate(rows) if row._looks is not None]
+        found = dict(zip(asked, looked_up([(rows[i].planned_in, rows[i]._looks) for i in asked]), strict=True))
+        each = tuple(row._offenders(found.get(i, [])) for i, row in enumerate(rows))
+        return each[0] if self.single else each
+
+    @property
+    def _looks(self) -> np.ndarray | None:
+        """The configurations (k, n) at which a single one is asked what is in the way; None where that is not a question."""
         if self.success or self.planned_in is None or self.stuck is None or not np.isfinite(self.stuck).all():
-            return ()
-        if self.reason == Reason.LIMITS:
-            return _beyond(self.planned_in, self.stuck[0])
-        place, (one, other) = self.planned_in, self.stuck
+            return None
         if not self.where:
-            return _between(place, one, other)
-        if self.reason != Reason.COLLISION:
-            return ()
-        found = explain(place.robot, place.scene, one, count=sys.maxsize, below=place.margin).contacts
-        return found or explain(place.robot, place.scene, one, count=1).contacts  # rounding may put it on the margin itself
+            one, other = self.stuck
+            return np.asarray(one + np.linspace(0.0, 1.0, LOOKS)[:, None] * (other - one))
+        return self.stuck[:1] if self.reason == Reason.COLLISION else None
+
+    def _offenders(self, found: list[tuple[Contact, ...]]) -> tuple[Any, ...]:
+        """The offenders of a single one, by the contacts that were found where it looks."""
+        if self.reason == Reason.LIMITS and self.planned_in is not None and np.isfinite(self.stuck).all():
+            return _beyond(self.planned_in, self.stuck[0])
+        if not self.where:
+            return deepest(found)
+        place = self.planned_in  # rounding may put it on the margin itself
+        return found[0] or explain(place.robot, place.scene, self.stuck[0], count=1).contacts if found else ()
 
     @property
     def gap(self) -> Any:
         """How far apart the two trees of a search that found no way remained [m]: the most that a point of the robot moves from
         one to the other if one joint moves, the root of its squares if several do. NaN else; a batch has one a motion."""
         if not self.single:
-            return np.array([row.gap for row in self])
+            none, each = np.full(np.shape(self.stuck)[2], np.nan), zip(self.where, self.planned_in, strict=True)
+            weights = [none if where or place is None else place.weights for where, place in each]
+            return np.linalg.norm((self.stuck[:, 1] - self.stuck[:, 0]) * np.reshape(weights, (len(self), len(none))), axis=1)
         if self.planned_in is None or self.stuck is None or self.where:
             return np.nan
         return float(np.linalg.norm((self.stuck[1] - self.stuck[0]) * self.planned_in.weights))
 
-    @functools.cached_property
-    def _named(self) -> frozenset[int]:
-        """The rows of a batch whose offenders `why` names: looking them up takes milliseconds each."""
-        return frozenset(np.flatnonzero(self.reason)[:NAMED].tolist())
-
     def _words(self, reason: Reason, row: int) -> str:
         if not self.single:
-            return str(self[row].why) if row in self._named else super()._words(reason, row)
+            if reason == Reason.SOLVED:
+                return reason.text
+            one = self[row]
+            vars(one)["offenders"] = self.offenders[row]  # as it would look them up
+            return str(one.why)
         told, mend = [reason.text], self.HELP.get(reason, "")
         told[0] = f"{self.where}: " * bool(self.where) + told[0]
         if self.offenders and self.where:
@@ -139,15 +153,3 @@ def _beyond(place: Place, q: np.ndarray) -> tuple[Limit, ...]:
     units = ["m" if prismatic else "rad" for prismatic in place.robot.is_prismatic]
     order = [i for i in np.argsort(margins, kind="stable") if margins[i] < 0.0]
     return tuple(Limit(place.robot.joint_names[i], float(margins[i]), units[i]) for i in order)
-
-
-def _between(place: Place, one: np.ndarray, other: np.ndarray) -> tuple[Contact, ...]:
-    """The contacts below the margin on the straight way from one configuration (n,) to another: of each two names the deepest,
-    the deepest first."""
-    found: dict[tuple[str, str], Contact] = {}
-    for q in one + np.linspace(0.0, 1.0, LOOKS)[:, None] * (other - one):
-        for contact in explain(place.robot, place.scene, q, count=sys.maxsize, below=place.margin).contacts:
-            names = contact.link, contact.other
-            if names not in found or contact.distance < found[names].distance:
-                found[names] = contact
-    return tuple(sorted(found.values(), key=lambda contact: contact.distance))

@@ -30,14 +30,17 @@ class Ways(NamedTuple):
     def planned(
         cls,
         robot: Robot,
-        scene: Scene | None,
+        scene: Scene | Sequence[Scene] | None,
         rows: np.ndarray,
         starts: np.ndarray,
         ends: np.ndarray,
         seed: int,
         how: PlanOptions,
     ) -> Self:
-        """Plans motions for problems `rows` (s,) from starts to ends (s, n); those that have none are left out."""
+        """Plans motions for problems `rows` (s,) from starts to ends (s, n); those that have none are left out. Each of a
+        list of scenes is that of one of them."""
+        if not len(rows):
+            return cls(rows, [], [])
         found = plan_motion(robot, starts, ends, scene=scene, seed=seed, options=how)
         pairs = [(w, t) for w, t in zip(found.waypoints, found.trajectory, strict=True) if w is not None]
         return cls(rows[found.success], [w for w, _ in pairs], [t for _, t in pairs])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import time
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Collection, Sequence
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -16,15 +16,18 @@ from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
-from jaxik.options import Options, count, flag, instance, number, per_joint
+from jaxik.options import Options, choice, count, flag, instance, number, per_joint
 from jaxik.planning.cells import JOINTS, separated
 from jaxik.planning.collision_checker import CollisionChecker, judged
-from jaxik.planning.escape import escaped
+from jaxik.planning.escape import escaped, led_out
 from jaxik.planning.goal_search import searched
 from jaxik.planning.improvement import improved
-from jaxik.planning.limits import Limits, limit_of, motion_limits
+from jaxik.planning.jerk_timing import smooth_laws
+from jaxik.planning.limits import AnyLimits, Limits, limit_of, motion_limits
 from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, reached, turned
+from jaxik.planning.path_parts import Part
 from jaxik.planning.plan_result import Place, PlanResult
+from jaxik.planning.sooner import sooner
 from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory, padded
 from jaxik.planning.ways import LOOKS, blended
@@ -68,7 +71,12 @@ class PlanOptions(Options, who="plan_motion"):
         least=0.0,
         optional=True,
         unit="s",
-        words="time to look for a shorter way, for each problem, of many on average; the clock says how far it comes",
+        words="time to look for a better way, for each problem, of many on average; the clock says how far it comes",
+    )
+    improves: str = choice(
+        default="length",
+        kinds=Literal["length", "time"],
+        words='what `improve` makes less: the "length" of the way, in weighted joints, or the "time" of the motion',
     )
     winding: float | None = number(
         default=None,
@@ -98,12 +106,12 @@ def plan_motion(
     whole way, not at samples, and the limits of position, velocity and acceleration, and of `jerk`, where there is one. Host
     driver.
 
-    `goal` is a configuration (n,), several (g, n), of which the one that is reached soonest is taken, as far as as much search
-    again as for the first one tells, or a pose `base_T_tip` (4, 4) [m], for which `solve_ik` finds postures, and of which the
-    one that is found first is taken; where the start has it, nothing moves. Many starts (b, n) have goals (b, n), (b, g, n),
-    filled up with NaN, poses (b, 4, 4), or several poses each (b, g, 4, 4), and a list of b scenes, one each; one start, goal,
-    pose or scene may serve all. Each motion is as it is alone, whatever becomes of the others. Without a scene the robot keeps
-    clear of itself alone.
+    `goal` is a configuration (n,), several (g, n), of which the one that is reached soonest is taken, by straight lines within
+    all limits, as far as as much search again as for the first one tells, or a pose `base_T_tip` (4, 4) [m], for which
+    `solve_ik` finds postures, and of which the one that is found first is taken; where the start has it, nothing moves. Many
+    starts (b, n) have goals (b, n), (b, g, n), filled up with NaN, poses (b, 4, 4), or several poses each (b, g, 4, 4), and a
+    list of b scenes, one each; one start, goal, pose or scene may serve all. Each motion is as it is alone, whatever becomes of
+    the others. Without a scene the robot keeps clear of itself alone.
 
     A goal is met but for full turns of joints without limits, which take the shorter way, or the other one where that is walled
     in, within `winding` of zero (`PlanResult.turns`); joints with limits meet a configuration as it is, a pose on any turn.
@@ -118,7 +126,7 @@ def plan_motion(
     Reasons: SOLVED; INVALID, NaN in the start or the goal; LIMITS, COLLISION of the `start` or the `goal`, whichever is in
     `where`; OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED, no way found within the rounds and the timeout
     that keeps 0.01 mm more than the margin, which is no proof that there is none; NO_WAY, a proof by cells that there is none,
-    of arms of three joints at most.
+    of arms of three joints at most, from a start that was not led out to goals that are configurations.
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Sources: Kuffner and LaValle, RRT-Connect, 2000;
     Schwarzer et al. 2005; Pham and Pham 2018; Zhang, Kim, Manocha 2008.
@@ -151,34 +159,37 @@ def _planned(
     """Plans each of the problems, of which what all have in common is asked once: postures, straight lines, the timing."""
     limits = motion_limits("plan_motion", robot, options.velocity, options.acceleration, (robot.num_joints,))
     jerk = None if options.jerk is None else limit_of("plan_motion", "jerk", options.jerk, (robot.num_joints,))
+    pace = limits.within(jerk)
     space = CollisionChecker(robot, scene, options.margin, winding=options.winding)
+    space.prepare()
     among = np.arange(len(asked.starts)) if space.world.several else np.zeros(len(asked.starts), int)
     places = _places(robot, scene, space, options, len(asked.starts))
     starts, escapes = _begun(robot, space, places, asked.starts, among) if options.escape else (asked.starts, {})
-    answers = _goals(robot, scene, space, starts, asked, seed, options, limits)
+    answers = _goals(robot, scene, space, starts, asked, seed, options, pace)
     goals, free, ended = admitted(robot, space, starts, answers, among)
-    ways = _straight(space, starts, goals, free, limits, among)
+    ways = _straight(space, starts, goals, free, pace, among)
     total = options.rounds if asked.single else len(starts)
     tell = progress or (lambda done, total: None)
     told = lambda taken, done: tell(taken if asked.single else done, total)
     sought = [each[some] for each, some in zip(goals, free, strict=True)]
     rounds, checked = _search(
-        space, places, ways, starts, sought, ended, asked.poses is None, seed, options, limits, told, among
+        space, places, ways, starts, sought, ended, asked.poses is None, escapes, seed, options, pace, told, among
     )
+    finish = Finish(space, limits, jerk, options.places, escapes, among)
     if options.improve:
-        _improve(space, ways, seed, options.improve, among)
+        _improve(finish, ways, seed, options)
     reach = arrived(robot, ways, goals if asked.poses is not None else asked.goals, asked, options.postures)
     bounds = np.array([np.nan if way is None else space.length(sought[i] - way[0]).min() for i, way in enumerate(ways)])
+    least = np.array([np.nan if w is None else pace.least(sought[i] - asked.starts[i]).min() for i, w in enumerate(ways)])
     lines = np.array([len(escapes[i]) - 1 if i in escapes and way is not None else 0 for i, way in enumerate(ways)], int)
-    ways = [way if way is None or i not in escapes else np.concatenate([escapes[i][:-1], way]) for i, way in enumerate(ways)]
+    ways = [way if way is None else finish.led_out(i, way) for i, way in enumerate(ways)]
     moved = [i for i, way in enumerate(ways) if way is not None]
-    paths = rounded(space, [ways[i] for i in moved], among[moved], smooth=jerk is not None)
-    motions = iter(timed(robot, paths, limits, jerk, options.places))
+    motions = iter(finish.motions(moved, [ways[i] for i in moved]))
     trajectories = tuple(None if way is None else next(motions) for way in ways)
     tell(total, total)
     lengths = np.array([np.nan if way is None else space.length(np.diff(way, axis=0)).sum() for way in ways])
     told_of = ended.reason, tuple(ended.where), tuple(ways), trajectories, lengths, bounds, rounds, checked
-    return PlanResult(*told_of, *reach, lines, ended.stuck, places)
+    return PlanResult(*told_of, *reach, lines, ended.stuck, places, least)
 
 
 def _search(
@@ -188,15 +199,17 @@ def _search(
     starts: np.ndarray,
     goals: Sequence[np.ndarray],
     ended: Ended,
-    compared: bool,
+    given: bool,
+    escapes: Collection[int],
     seed: int,
     options: PlanOptions,
-    limits: Limits,
+    limits: AnyLimits,
     told: Callable[[int, int], Any],
     among: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Puts a way where there is none yet and nothing is refused, or notes why not. Returns the rounds, and how many
-    configurations were checked (b,)."""
+    configurations were checked (b,). That there is no way is proven of goals that are `given`, not some postures of a pose, and
+    of starts without `escapes`: elsewhere there may be another posture, or another way out."""
     rows = np.array([i for i, way in enumerate(ways) if way is None and not ended.where[i]], int)
     until = np.inf if options.timeout is None else time.monotonic() + options.timeout * len(rows)
     rounds, checked = np.zeros((2, len(starts)), int)
@@ -205,14 +218,15 @@ def _search(
         sought = [goals[i] for i in rows]
         tell = lambda taken, done, rows=rows: told(int(rounds[rows[0]]) + taken, len(starts) - len(rows) + done)
         left, drawn = np.minimum(most, options.rounds - rounds[rows]), (seed, attempt) if attempt else seed
-        found = searched(space, starts[rows], sought, compared, drawn, left, until, limits, tell, among[rows])
+        found = searched(space, starts[rows], sought, given, drawn, left, until, limits, tell, among[rows])
         rounds[rows] += found.rounds
         checked[rows] += found.checked
         again = []
         for i, way, gap, taken in zip(rows.tolist(), found.ways, found.gaps, found.rounds.tolist(), strict=True):
             ways[i] = way
             if way is None:
-                none = not attempt and separated(space, places[i].robot, places[i].scene, starts[i], goals[i], until)
+                whole = not attempt and given and i not in escapes
+                none = whole and separated(space, places[i].robot, places[i].scene, starts[i], goals[i], until)
                 ended.reason[i], ended.stuck[i] = int(Reason.NO_WAY if none else Reason.NOT_CONVERGED), gap
                 again += [i] * bool(not none and taken and rounds[i] < options.rounds)
             else:
@@ -223,11 +237,42 @@ def _search(
     return rounds, checked
 
 
-def _improve(space: CollisionChecker, ways: list[np.ndarray | None], seed: int, seconds: float, among: np.ndarray) -> None:
-    """Puts shorter ways, as far as so many seconds each let them be found, in the place of those that are no straight lines."""
+class Finish(NamedTuple):
+    """How ways become motions: the limits and the `places` of their timing, and by number those out of a collision that lead to
+    them; each is `among` what is in the scene of such a number (b,)."""
+
+    space: CollisionChecker
+    limits: Limits
+    jerk: np.ndarray | None
+    places: int
+    escapes: dict[int, np.ndarray]
+    among: np.ndarray
+
+    def led_out(self, row: int, way: np.ndarray) -> np.ndarray:
+        """The way with that out of the collision before it."""
+        return led_out(self.escapes[row], way) if row in self.escapes else way
+
+    def motions(self, rows: list[int], ways: Sequence[np.ndarray]) -> list[Trajectory]:
+        """The motions along whole ways of such rows."""
+        paths = rounded(self.space, list(ways), self.among[rows], smooth=self.jerk is not None)
+        return timed(self.space.robot, paths, self.limits, self.jerk, self.places)
+
+    def lasting(self, rows: list[int], ways: Sequence[np.ndarray]) -> np.ndarray:
+        """The times of the motions along ways of such rows [s]."""
+        moved = self.motions(rows, [self.led_out(i, way) for i, way in zip(rows, ways, strict=True)])
+        return np.array([float(each.duration) for each in moved])
+
+
+def _improve(finish: Finish, ways: list[np.ndarray | None], seed: int, options: PlanOptions) -> None:
+    """Puts better ways, as far as the time for each lets them be found, in the place of those that are no straight lines."""
     bent = {i: way for i, way in enumerate(ways) if way is not None and len(way) > 2}
-    shorter = improved(space, list(bent.values()), seed, seconds, among[list(bent)])
-    for (i, way), better in zip(bent.items(), shorter, strict=True):
+    rows, given, seconds = list(bent), list(bent.values()), float(options.improve or 0.0)
+    if options.improves == "time":
+        lasting = lambda some, others: finish.lasting([rows[i] for i in some], others)
+        found = sooner(finish.space, given, lasting, seed, seconds, finish.among[rows])
+    else:
+        found = improved(finish.space, given, seed, seconds, finish.among[rows])
+    for (i, way), better in zip(bent.items(), found, strict=True):
         ways[i] = np.concatenate([way[:1], better[1:-1], way[-1:]])  # the ends to the last bit
 
 
@@ -262,7 +307,7 @@ def _goals(
     asked: Ends,
     seed: int,
     options: PlanOptions,
-    limits: Limits,
+    limits: AnyLimits,
 ) -> Answers:
     """The configurations (b, g, n) to go to, joints without limits on the nearest turn; and of poses the reasons."""
     bounds = space.lower, space.upper
@@ -314,7 +359,12 @@ def arrived(
 
 
 def _straight(
-    space: CollisionChecker, starts: np.ndarray, goals: np.ndarray, free: np.ndarray, limits: Limits, among: np.ndarray
+    space: CollisionChecker,
+    starts: np.ndarray,
+    goals: np.ndarray,
+    free: np.ndarray,
+    limits: AnyLimits,
+    among: np.ndarray,
 ) -> list[np.ndarray | None]:
     """Finds, for each start, the straight line to the free goal that is reached soonest, of those that are proven, or None."""
     times = np.full(free.shape, np.inf)
@@ -339,9 +389,11 @@ def rounded(space: CollisionChecker, ways: list[np.ndarray], among: np.ndarray, 
 
 
 def timed(robot: Robot, paths: list[JointPath], limits: Limits, jerk: np.ndarray | None, places: int) -> list[Trajectory]:
-    """Times the paths, those of as many pieces together; one by one within a limit of the jerk, as moments differ in number."""
+    """Times the paths, those of as many pieces together; all together within a limit of the jerk."""
     if jerk is not None:
-        return [time_path(path, **limits._asdict(), jerk=jerk, places=2 * places, robot=robot) for path in paths]
+        parts = [Part(np.asarray(path.lengths), np.asarray(path.coefficients), limits, jerk, None) for path in paths]
+        laws = zip(paths, smooth_laws(parts, 2 * places), strict=True)
+        return [Trajectory(path, *law[:3], robot.joint_names, law.acceleration) for path, law in laws]
     motions: dict[int, Trajectory] = {}
     pieces = np.array([len(path.lengths) for path in paths], int)
     for size in np.unique(pieces):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
 from jaxik.options import Options, count, instance, per_joint
 from jaxik.planning.collision_checker import CollisionChecker
-from jaxik.planning.limits import Limits, limit_of, motion_limits
+from jaxik.planning.limits import AnyLimits, Limits, limit_of, motion_limits
 from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, reached, turned
 from jaxik.planning.plan_result import Place, PlanResult
 from jaxik.planning.planner import admitted, arrived, rounded, timed
@@ -64,15 +65,16 @@ class Queries:
             reach = reached(self.robot, found[-1], goal[None])
             return PlanResult(Reason.SOLVED, "", *known, *reach, 0, self.nowhere, self.place)
         asked = ends("Roadmap.way", self.robot, start, goal, several_poses=True)
-        result = self._ways(asked, seed, options, self._limits("Roadmap.way", options), self.number)
+        limits, jerk = self._limits("Roadmap.way", options)
+        result = self._ways(asked, seed, options, limits.within(jerk), self.number)
+        result = dataclasses.replace(result, least_duration=np.full(len(result), np.nan))  # no motion
         return result[0] if asked.single else result
 
     def plan(self, start: Any, goal: Any, seed: int, options: QueryOptions) -> PlanResult:
         """The answer of `Roadmap.plan`."""
         asked = ends("Roadmap.plan", self.robot, start, goal, several_poses=True)
-        limits = self._limits("Roadmap.plan", options)
-        jerk = None if options.jerk is None else limit_of("Roadmap.plan", "jerk", options.jerk, (self.robot.num_joints,))
-        found = self._ways(asked, seed, options, limits, {})
+        limits, jerk = self._limits("Roadmap.plan", options)
+        found = self._ways(asked, seed, options, limits.within(jerk), {})
         ways, checked = list(found.waypoints), found.checked.copy()
         bent = [i for i, way in enumerate(ways) if way is not None and len(way) > 2]
         if bent:
@@ -90,8 +92,11 @@ class Queries:
         result = dataclasses.replace(found, waypoints=tuple(ways), **changes)
         return result[0] if asked.single else result
 
-    def _limits(self, who: str, options: QueryOptions) -> Limits:
-        return motion_limits(who, self.robot, options.velocity, options.acceleration, (self.robot.num_joints,))
+    def _limits(self, who: str, options: QueryOptions) -> tuple[Limits, np.ndarray | None]:
+        """The limits of velocity and acceleration, and that of the jerk."""
+        shape = (self.robot.num_joints,)
+        jerk = None if options.jerk is None else limit_of(who, "jerk", options.jerk, shape)
+        return motion_limits(who, self.robot, options.velocity, options.acceleration, shape), jerk
 
     def _between_nodes(self, start: Any, goal: Any) -> np.ndarray | None:
         """The waypoints between two different nodes, soon; None where they are no such nodes, or have no way."""
@@ -104,7 +109,7 @@ class Queries:
         nodes = self.graph.ways(self.lengths, [here], [there], [goal[None]])[0]
         return None if nodes is None else unwound(self.graph.nodes[nodes], self.space.endless)
 
-    def _ways(self, asked: Ends, seed: int, options: QueryOptions, limits: Limits, apart: dict[bytes, int]) -> PlanResult:
+    def _ways(self, asked: Ends, seed: int, options: QueryOptions, limits: AnyLimits, apart: dict[bytes, int]) -> PlanResult:
         """The ways of a batch of problems; no straight lines are looked at between two different postures of those `apart`."""
         starts, none = asked.starts, np.zeros(len(asked.starts), int)
         answers = Answers(none.copy(), asked.goals, np.full_like(starts, np.nan))
@@ -124,12 +129,13 @@ class Queries:
         if len(left) and options.rounds:
             aims = [turned(self.robot, starts[i][None], goals[i][free[i]][None])[0] for i in left]
             found = proven_ways(self.space, starts[left], aims, seed, np.full(len(left), options.rounds))
-            rounds[left], checked[left], ended.stuck[left] = found.rounds, found.checked, found.gaps
-            for i, way in zip(left.tolist(), found.ways, strict=True):
-                ways[i] = way
+            rounds[left], checked[left] = found.rounds, found.checked
+            for i, way, gap in zip(left.tolist(), found.ways, found.gaps, strict=True):
+                ways[i], ended.stuck[i] = way, np.nan if gap is None else gap
         ended.reason[[i for i in rows if ways[i] is None]] = int(Reason.NOT_CONVERGED)
         ended.stuck[ended.reason == Reason.SOLVED] = np.nan
-        bounds = np.where([way is None for way in ways], np.nan, self._bounds(starts, np.where(free[..., None], goals, np.nan)))
+        missed, known = [way is None for way in ways], np.where(free[..., None], goals, np.nan)
+        bounds, least = (np.where(missed, np.nan, self._nearest(starts, known, f)) for f in (self.space.length, limits.least))
         told_of = (
             ended.reason,
             tuple(ended.where),
@@ -141,16 +147,16 @@ class Queries:
             checked,
         )
         reach = arrived(self.robot, ways, goals, asked, options.postures)
-        return PlanResult(*told_of, *reach, none, ended.stuck, (self.place,) * len(starts))
+        return PlanResult(*told_of, *reach, none, ended.stuck, (self.place,) * len(starts), least)
 
     def _lengths(self, ways: list[np.ndarray | None]) -> np.ndarray:
         """The lengths of ways (b,) [m], NaN where there is none."""
         return np.array([np.nan if way is None else self.space.length(np.diff(way, axis=0)).sum() for way in ways])
 
-    def _bounds(self, starts: np.ndarray, goals: np.ndarray) -> np.ndarray:
-        """The lengths (b,) [m] of straight lines from starts (b, n) to the nearest of the goals (b, g, n) that are not NaN."""
+    def _nearest(self, starts: np.ndarray, goals: np.ndarray, far: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """The least (b,) of what tells how `far` it is straight from starts (b, n) to the goals (b, g, n) that are not NaN."""
         begin, end = unwound(np.stack(np.broadcast_arrays(starts[:, None], goals)), self.space.endless)
-        return np.nan_to_num(self.space.length(end - begin), nan=np.inf).min(axis=1, initial=np.inf)
+        return np.nan_to_num(far(end - begin), nan=np.inf).min(axis=1, initial=np.inf)
 
     def _straight(
         self, starts: np.ndarray, goals: np.ndarray, free: np.ndarray, apart: dict[bytes, int]

@@ -83,6 +83,12 @@ class Places:
         self.lines[lines[:, 1], lines[:, 0]] = HIT
 
 
+def prepare(space: CollisionChecker, way: np.ndarray) -> None:
+    """Has what draws ways (k, n) tight made beside what searches them."""
+    ask = lambda: chains(space, [Places.on(way)], np.inf, np.zeros(1), np.zeros(1, int))
+    space.world.ahead(shortest, ask)
+
+
 def tightened(
     space: CollisionChecker, ways: Sequence[np.ndarray], step: float, cushion: np.ndarray, among: np.ndarray
 ) -> tuple[list[Places], list[np.ndarray], np.ndarray]:
@@ -113,9 +119,9 @@ def _chains(
     """`chains` of places; of others along the chain before, up to so many `tries` more, which then are in `places`, and at once
     where that `lays` (b,) them."""
     n, rows = places[0].points.shape[1], len(places)
-    points, state = np.zeros((rows, n, PLACES), np.float32), np.empty((rows, 3), np.int32)
+    points, state = np.zeros((rows, max(n + 1, 3), PLACES), np.float32), np.empty((rows, 3), np.int32)
     for row, each in zip(points, places, strict=True):
-        row[:, : len(each.points)] = each.points.T
+        row[:n, : len(each.points)] = each.points.T
     state[:, 0], state[:, 1], state[:, 2] = [len(each.points) for each in places], tries, lays
     blocks = lambda x: x.reshape(*x.shape[:-1], BLOCKS, TEAM_SIZE)
     reach = np.stack([np.full(rows, step), space.margin + cushion], axis=1).astype(np.float32)
@@ -126,7 +132,7 @@ def _chains(
     for i, each in enumerate(places):
         each.lines, chain = lines[i].reshape(PLACES, PLACES), [int(count[i]) - 1]
         if tries:
-            inner = laid[i].reshape(n, PLACES)[:, 1 : count[i] - 1].T
+            inner = laid[i].reshape(-1, PLACES)[:n, 1 : count[i] - 1].T
             each.points = np.concatenate([each.points[:1], inner, each.points[-1:]])  # its ends to the last bit
         while chain[-1]:
             chain.append(int(before[i, chain[-1]]))
@@ -138,24 +144,24 @@ def _chains(
 def shortest(
     robot: Robot, obstacles: Grouped, points: Any, lines: Any, state: Any, reach: Any, weights: Any
 ) -> tuple[Any, Any, Any, Any, Any, Any]:
-    """The places (n, blocks, 16), how many there are, the place before each (places,) in the shortest chain from the first to
-    the last of which all lines are free, by samples; what is then known of the lines (places, blocks, 16), to each from each;
-    the length of the chain, infinite where there is none; and how many sixteens of samples were looked at.
+    """The places (n + 1, blocks, 16), as `Chain` has them, and how many there are; the place before each (places,) in the
+    shortest chain from the first to the last of which all lines are free, by samples; what is then known of the lines (places,
+    blocks, 16), to each from each; the length of the chain, infinite where there is none; and how many sixteens of samples were
+    looked at. All of what is written in place: LLVM orders the moves of a part of it, number by number, for seconds.
 
-    Takes `points` (n, blocks, 16) and what is known of their `lines`; their number, how often places are laid on the way anew
-    at most while it becomes shorter, and whether they are at first, in which case the lines from point to point are free (3,);
-    how far apart samples are, and by how much they keep away from what is around (2,) [m]; the `weights` (n,) of lengths."""
+    Takes `points` likewise, with room for distances, and of their `lines` what is known; their number, how often places are
+    laid on the way anew at most while it becomes shorter, and whether they are at first, in which case the lines from point to
+    point are free (3,); how far apart samples are, and by how much they keep away from what is around (2,) [m]; the `weights`
+    (n,) of lengths."""
     count, tries, lays = state[0], state[1], state[2] > 0
-    room = jnp.zeros((max(1, 3 - len(points)), *points.shape[1:]), points.dtype)
     none, no = jnp.int32(0), jnp.bool_(False)
-    way = jnp.concatenate([points, room])
-    chain = Chain(way, count, lines, none, none, none, no)
+    chain = Chain(points, count, lines, none, none, none, no)
     before = jnp.zeros(PLACES + KEPT, jnp.int32)  # so many that it is written in place
     search = _Lazy(robot, reach[0], reach[1], weights, obstacles)
-    first = Tightening(chain, way, count, before, jnp.asarray(jnp.inf, way.dtype), tries, lays, no)
+    first = Tightening(chain, points, count, before, jnp.asarray(jnp.inf, points.dtype), tries, lays, no)
     found = lax.while_loop(lambda s: ~s.ended, search.drawn, first)
     chain = found.chain
-    return chain.places[: len(points)], chain.count, found.before, chain.lines, found.length, chain.looked
+    return chain.places, chain.count, found.before, chain.lines, found.length, chain.looked
 
 
 class _Lazy:

@@ -20,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from jaxik.checks.arrays import numbers
-from jaxik.checks.options import check_choices, check_kind, shown
+from jaxik.checks.options import as_count, check_choices, check_kind, shown
 from jaxik.dynamics.recursions import GRAVITY
 from jaxik.kinematics.robot import Robot
 from jaxik.planning import limits as drive_limits
@@ -92,6 +92,7 @@ def time_path(
         raise ValueError("time_path: power and jerk are not limited together; leave one out, or limit torque")
     if profile == "s_curve" and jerk is None:
         raise ValueError(f"time_path: no jerk; profile 's_curve' needs jerk= {UNITS['jerk']}")
+    places = None if places is None else as_count("time_path: places", places)
     given, single = _pieces(path) if isinstance(path, JointPath) else _waypoints(path)
     count, *_, n = np.shape(given.coefficients if isinstance(path, JointPath) else given)
     if robot is not None and robot.num_joints != n:

@@ -18,8 +18,8 @@ BETWEEN = np.linspace(0.0, 1.0, 5)  # of a span, where torques are judged
 
 
 class Judge:
-    """Judges motions given by control points (b, N + degree, n) over N equal spans. `space` is None where nothing is looked at
-    that may be hit."""
+    """Judges motions given by control points (b, N + degree, n) over N equal spans, each `among` what is in the scene of such a
+    number (b,). `space` is None where nothing is looked at that may be hit."""
 
     def __init__(self, terms: Terms):
         self.robot, self.terms, self.options = terms.robot, terms, terms.options
@@ -27,10 +27,10 @@ class Judge:
         self.margin = margin
         self.space = CollisionChecker(terms.robot, terms.scene, margin) if seen else None
 
-    def postures(self, q: np.ndarray) -> np.ndarray:
+    def postures(self, q: np.ndarray, among: np.ndarray) -> np.ndarray:
         """The reason of each posture (b, n) at which a motion is to begin or end, LIMITS too where the drives cannot hold the
         arm; without a margin it may collide."""
-        verdict, may_collide = judged(self.robot, self.space, q), self.options.kept_margin is None
+        verdict, may_collide = judged(self.robot, self.space, q, among), self.options.kept_margin is None
         verdict = np.where(may_collide & (verdict == Reason.COLLISION), int(Reason.SOLVED), verdict)
         return np.where((verdict == Reason.SOLVED) & ~self.holds(q), int(Reason.LIMITS), verdict)
 
@@ -71,22 +71,22 @@ class Judge:
         found = along_pieces(curve, np.broadcast_to(span * BETWEEN, (*curve.shape[:2], len(BETWEEN))))
         return [x.reshape(len(points), -1, points.shape[2]) for x in found]
 
-    def short(self, points: np.ndarray) -> np.ndarray:
+    def short(self, points: np.ndarray, among: np.ndarray) -> np.ndarray:
         """The amount by which each span (b, N) comes too near to be proven free [m]; 0 where it is, or nothing is looked at."""
         if self.space is None:
             return np.zeros((len(points), points.shape[1] - self.options.degree))
         degree, spans = self.options.degree, points.shape[1] - self.options.degree
         curve = splines.pieces(points, degree, self.terms.duration / spans).reshape(-1, 4, points.shape[2])
-        open_ = np.arange(len(curve))
+        open_, of = np.arange(len(curve)), np.repeat(among, spans)
         for parts, resolution in ((1, RESOLUTION), (4, CLOSE), (16, CLOSE)):
-            proven = _proven(self.space, curve[open_], self.terms.duration / spans, parts, resolution)
+            proven = _proven(self.space, curve[open_], self.terms.duration / spans, parts, resolution, of[open_])
             open_ = open_[~proven]
             if not len(open_):
                 break
         short = np.zeros(len(curve))
         if len(open_):
             q = _along(curve[open_], self.terms.duration / spans, 8)
-            nearest = self.terms.clearance(q.reshape(-1, q.shape[2])).reshape(len(open_), -1).min(axis=1)
+            nearest = self.terms.clearance(q, of[open_]).min(axis=1)
             short[open_] = np.maximum(self.space.margin + CUSHION - nearest, CUSHION)
         return short.reshape(len(points), spans)
 
@@ -104,14 +104,17 @@ class Judge:
         return least
 
 
-def _proven(space: CollisionChecker, curve: np.ndarray, span: float, parts: int, resolution: float) -> np.ndarray:
+def _proven(
+    space: CollisionChecker, curve: np.ndarray, span: float, parts: int, resolution: float, among: np.ndarray
+) -> np.ndarray:
     """Whether pieces (m, 4, n) are proven free by so many chords: a piece is at most `h^2 / 8 max |q''|` from one in a
     joint."""
     q = _along(curve, span, parts)
     bend = np.maximum(np.abs(2.0 * curve[:, 1]), np.abs(6.0 * curve[:, 0] * span + 2.0 * curve[:, 1]))
     away = (bend @ space.weights) * (span / parts) ** 2 / 8.0
     first, last = (x.reshape(-1, q.shape[2]) for x in (q[:, :-1], q[:, 1:]))
-    return np.all(space.proven(first, last, np.repeat(away, parts), resolution).reshape(-1, parts), axis=1)
+    found = space.proven(first, last, np.repeat(away, parts), resolution, np.repeat(among, parts))
+    return np.all(found.reshape(-1, parts), axis=1)
 
 
 def _along(curve: np.ndarray, span: float, parts: int) -> np.ndarray:

@@ -77,7 +77,7 @@ def optimise_trajectory(
     start: Any,
     goal: Any,
     *,
-    scene: Scene | None = None,
+    scene: Scene | Sequence[Scene] | None = None,
     guess: Any = None,
     via: Sequence[tuple[float, Any]] = (),
     seed: int = 0,
@@ -88,14 +88,13 @@ def optimise_trajectory(
     """The best motion from `start` to `goal`, at rest at both, that keeps clear and inside the limits: the fastest, or of a
     given `duration` that of least cost. Host driver.
 
-    `start`, `goal` and batches of them are those of `plan_motion`: configurations, of several the one that costs least, or
-    poses `base_T_tip` [m], whose posture is free, and is optimised, too. `guess` (k, n) or (b, k, n) are configurations in
-    equal times, from which to begin; without one, the fastest motion begins as the planner's, than which it is no slower, and
-    for one of least cost straight lines to several postures are compared. A joint without limits
-    takes the shorter turn to the goal, or that of the guess. `via` are pairs of a share of the duration, of which the nearest
-    end of one of the `spans` is meant, and a pose that the tip has there. `seed` decides among postures and in the planner.
-    `progress` is called with the motions that are solved or refused, and the number of all. `changes` are fields of
-    `TrajectoryOptions`.
+    `start`, `goal`, batches of them, and a list of scenes, one each, are those of `plan_motion`: configurations, of several the
+    one that costs least, or poses `base_T_tip` [m], whose posture is free, and is optimised, too. `guess` (k, n) or (b, k, n)
+    are configurations in equal times, from which to begin; without one, the fastest motion begins as the planner's, than which
+    it is no slower, and for one of least cost straight lines to several postures are compared. A joint without limits takes the
+    shorter turn to the goal, or that of the guess. `via` are pairs of a share of the duration, of which the nearest end of one
+    of the `spans` is meant, and a pose that the tip has there. `seed` decides among postures and in the planner. `progress` is
+    called with the motions that are solved or refused, and the number of all. `changes` are fields of `TrajectoryOptions`.
 
     Reasons: SOLVED, proven free between samples too, unless obstacles only cost, or are not looked at; INVALID, NaN; LIMITS, of
     the start or the goal, where their joints' range or a `torque` that does not hold the arm there is meant, or of velocities,
@@ -106,7 +105,9 @@ def optimise_trajectory(
     Raises `ValueError` for arguments of a wrong shape, name or range. Sources: Schuetz 2017, ch. 6; Zucker et al. 2013.
     """
     check_kind("optimise_trajectory", "robot", robot, Robot)
-    check_kind("optimise_trajectory", "scene", scene, Scene, optional=True)
+    several = isinstance(scene, list | tuple)
+    for each in scene if several else (scene,):  # type: ignore[union-attr]
+        check_kind("optimise_trajectory", "scene", each, Scene, optional=not several)
     check_seed("optimise_trajectory", seed)
     check_known("optimise_trajectory", guess=guess)
     options = TrajectoryOptions.chosen(options, changes)
@@ -114,6 +115,7 @@ def optimise_trajectory(
         check_geometry(robot)
     check_collision("optimise_trajectory", options.collision, scene)
     asked = ends("optimise_trajectory", robot, start, goal)
+    asked = asked.of_scenes("optimise_trajectory", len(scene)) if several else asked  # type: ignore[arg-type]
     begin = _guess(robot, guess, len(asked.starts))
     if asked.poses is None:
         asked = asked._replace(goals=turned(robot, asked.starts if begin is None else begin[:, -1], asked.goals))

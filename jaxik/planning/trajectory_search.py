@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -44,7 +44,7 @@ class Search:
     def __init__(
         self,
         robot: Robot,
-        scene: Scene | None,
+        scene: Scene | Sequence[Scene] | None,
         asked: Ends,
         via: tuple[Target, ...],
         seed: int,
@@ -53,6 +53,8 @@ class Search:
     ):
         self.robot, self.scene, self.seed, self.options, self.progress = robot, scene, seed, options, progress
         self.starts, self.goals, self.poses, _ = asked
+        self.several = not (scene is None or isinstance(scene, Scene))
+        self.among = np.arange(len(self.starts)) if self.several else np.zeros(len(self.starts), int)
         self.plans = bool(options.rounds) and options.kept_margin is not None
         self.ways = Ways(np.zeros(0, int), [], [])
         self.via = via
@@ -133,7 +135,7 @@ class Search:
 
     def _started(self) -> np.ndarray:
         """The problems whose start will do."""
-        verdict = self.judge.postures(self.starts)
+        verdict = self.judge.postures(self.starts, self.among)
         self._refuse(np.arange(len(verdict)), verdict, "start")
         return np.flatnonzero(verdict == Reason.SOLVED)
 
@@ -146,7 +148,8 @@ class Search:
         """Problems (s,), as often as there are postures (s, n) to end in."""
         if self.poses is None:
             goals = self.goals[open_]
-            verdict = self.judge.postures(goals.reshape(-1, goals.shape[2])).reshape(goals.shape[:2])
+            among = np.repeat(self.among[open_], goals.shape[1])
+            verdict = self.judge.postures(goals.reshape(-1, goals.shape[2]), among).reshape(goals.shape[:2])
             free = verdict == Reason.SOLVED
             furthest = np.where(verdict == Reason.INVALID, -1, verdict).max(axis=1, initial=-1)
             refused = np.where(furthest < 0, int(Reason.INVALID), furthest)
@@ -162,7 +165,7 @@ class Search:
             reference=self.starts[open_],
             collision=False if self.judge.space is None else "constraint",
         )
-        found = solve_ik(self.robot, self.poses[open_], scene=self.scene, seed=self.seed, options=asked)
+        found = solve_ik(self.robot, self.poses[open_], scene=self._scenes(open_), seed=self.seed, options=asked)
         self._refuse(open_, found.reason, "goal")
         counts = np.asarray(found.num_solutions)
         each = np.arange(self.options.postures) < counts[:, None]
@@ -175,7 +178,11 @@ class Search:
     def _planned(self, rows: np.ndarray, ends: np.ndarray) -> Ways:
         """Plans motions for problems, each as often as it has postures to end in."""
         how = self.options.planning(self.robot)
-        return Ways.planned(self.robot, self.scene, rows, self.starts[rows], ends, self.seed, how)
+        return Ways.planned(self.robot, self._scenes(rows), rows, self.starts[rows], ends, self.seed, how)
+
+    def _scenes(self, rows: np.ndarray) -> Any:
+        """The scene, or those of some problems."""
+        return [self.scene[i] for i in rows.tolist()] if self.several else self.scene  # type: ignore[index]
 
     def _open(self, rows: np.ndarray) -> np.ndarray:
         """Whether each of the problems has no motion yet."""
@@ -192,7 +199,7 @@ class Search:
             return []
         points = splines.through(ways.in_time(self.options.spans), degree, self.options.spans)
         posed = lambda at, extra: self._problem(ways.rows[at], extra.shape[1] - 1, extra, cautious=True, fast=True)
-        proven, found = hastened(self.judge, posed, points, self.options.iterations)
+        proven, found = hastened(self.judge, posed, points, self.options.iterations, self.among[ways.rows])
         best = proven & (_ranks(ways.rows, found.cost, LOSS * ~proven) == 0)
         good = self.ways.rows if self.retimed else ways.rows[best]
         self.reason[good] = int(Reason.SOLVED)
@@ -206,7 +213,7 @@ class Search:
             return []
         spans = found.points.shape[1] - self.options.degree
         posed = lambda at, extra: self._problem(rows[at], extra.shape[1] - 1, extra, cautious=True, fast=True)
-        proven, fast = hastened(self.judge, posed, found.points, self.options.iterations, found.multipliers)
+        proven, fast = hastened(self.judge, posed, found.points, self.options.iterations, self.among[rows], found.multipliers)
         sooner = proven & (self.judge.shortest(fast.points, spans) < self.judge.shortest(found.points, spans))
         picked = lambda x, which: jax.tree_util.tree_map(lambda x: x[which], x)
         return [Solved(rows[sooner], picked(fast, sooner), True), Solved(rows[~sooner], picked(found, ~sooner))]
@@ -235,7 +242,8 @@ class Search:
     ) -> Problem:
         targets = tuple(dataclasses.replace(target, pose=target.pose[rows]) for target in self.targets)
         terms, whole = self.fast if fast else self.soft if soft else self.terms, np.ones((len(rows), 1))
-        return terms.problem(spans, targets, extra, self.poses is not None, cautious, whole if used is None else used)
+        share = whole if used is None else used
+        return terms.problem(spans, targets, extra, self.poses is not None, cautious, share, self.among[rows])
 
     def _compared(self, rows: np.ndarray, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, collocation.Found]:
         """The best samples of each problem, solved with few spans: their ranks, from 0, problems, and what was found. What
@@ -248,7 +256,7 @@ class Search:
         problem = self._problem(rows, self.levels[0], soft=len(self.levels) > 1)
         found = collocation.optimise(problem, points, 40, 1e-2, 1e-3)
         if self.options.kept_margin is not None:
-            passes = self.judge.short(found.points).max(axis=1) < DEEP
+            passes = self.judge.short(found.points, self.among[rows]).max(axis=1) < DEEP
             rows, found = rows[passes], jax.tree_util.tree_map(lambda x: x[passes], found)
         return _ranks(rows, found.cost, found.violation), rows, found
 
@@ -276,7 +284,7 @@ class Search:
         extra, used = np.full((len(rows), spans + 1), CUSHION), np.ones((len(rows), spans + 1))
         for number in range(mends + 1):
             kept = judge.kept(self._problem(rows, found.points.shape[1] - options.degree), found)
-            short = judge.short(found.points) if kept_apart else np.zeros(extra[:, 1:].shape)
+            short = judge.short(found.points, self.among[rows]) if kept_apart else np.zeros(extra[:, 1:].shape)
             hit = (short > 0.0).any(axis=1)
             at = np.flatnonzero((hit | (kept != Reason.SOLVED)) & (short.max(axis=1) < DEEP))
             if not len(at) or number == mends:
@@ -290,7 +298,7 @@ class Search:
             extra[:, 1:-1] += 1.5 * at_knots(short)[:, 1:-1]  # not of the goal's posture, which may have no more
             found = self._mended(rows, found, at, extra, used)
         if not kept_apart:
-            hit = (judge.short(found.points) > 0.0).any(axis=1)
+            hit = (judge.short(found.points, self.among[rows]) > 0.0).any(axis=1)
         fault = Reason.NOT_CONVERGED if kept_apart else Reason.COLLISION
         self.reason[rows] = np.where(hit & (kept == Reason.SOLVED), int(fault), kept)
         solved = self.reason[rows] == Reason.SOLVED if kept_apart else np.ones(len(rows), bool)

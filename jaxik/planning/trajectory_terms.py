@@ -13,8 +13,6 @@ import numpy as np
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import check_collision, shown
-from jaxik.collision.bvh import at_margin, grouped
-from jaxik.collision.clearances import link_contacts
 from jaxik.collision.continuous_collision import joint_reaches
 from jaxik.collision.scene import Scene
 from jaxik.dynamics.recursions import GRAVITY, inverse_dynamics, mass_matrix
@@ -25,6 +23,7 @@ from jaxik.optimise import programme, splines
 from jaxik.optimise.programme import FAR, Rows
 from jaxik.options import Options, anything, choice, count, flag, instance, number, per_joint
 from jaxik.planning.limits import BRISK, Drives, drives, limit_of, usual
+from jaxik.planning.link_distances import around, link_distances
 from jaxik.planning.planner import PlanOptions
 from jaxik.spatial.algebra import Frame, stack, traced
 from jaxik.spmd.batch import in_blocks
@@ -128,8 +127,9 @@ class TrajectoryOptions(Options, who="optimise_trajectory"):
         """The margin, None where none is kept."""
         return self.margin if self.collision == "constraint" else None
 
-    def terms(self, robot: Robot, scene: Scene | None) -> Terms:
-        """The terms of a robot with these options; with a free duration those within a second and without limits of motion."""
+    def terms(self, robot: Robot, scene: Scene | Sequence[Scene] | None) -> Terms:
+        """The terms of a robot with these options, in one scene or in several; with a free duration those within a second and
+        without limits of motion."""
         limits, drives = self.limits(robot), self.drives(robot)
         if self.duration is None:
             free = np.full(robot.num_joints, np.inf)
@@ -188,11 +188,12 @@ def told_apart(via: Sequence[Target], spans: int) -> bool:
 
 @dataclasses.dataclass(frozen=True)
 class Terms:
-    """The limits (n,) and costs of one robot in one scene (`options`), within `duration` [s]; `apart`, whether its distance to
-    itself costs by itself; `hasty`, whether time costs, of which `duration` is the unit, and hardly anything else."""
+    """The limits (n,) and costs of one robot in one scene, or in several (`options`), within `duration` [s]; `apart`, whether
+    its distance to itself costs by itself; `hasty`, whether time costs, of which `duration` is the unit, and hardly anything
+    else."""
 
     robot: Robot
-    scene: Scene | None
+    scene: Scene | Sequence[Scene] | None
     options: TrajectoryOptions
     duration: float
     velocity: np.ndarray
@@ -221,14 +222,15 @@ class Terms:
         open_end: bool,
         cautious: bool = False,
         used: np.ndarray | None = None,
+        among: np.ndarray | None = None,
     ) -> programme.Problem:
-        """Over so many spans; `extra` (B, spans + 1) [m] is kept beyond the margin at each knot, and of the drives' limits the
-        share `used` (B, 1 or spans + 1). Being cautious, a step moves nothing by more than `STRIDE`, in haste `BOLD`, and
-        bounds hold between knots, too."""
+        """Over so many spans, motions each `among` what is in the scene of such a number (B,); `extra` (B, spans + 1) [m] is
+        kept beyond the margin at each knot, and of the drives' limits the share `used` (B, 1 or spans + 1). Being cautious, a
+        step moves nothing by more than `STRIDE`, in haste `BOLD`, and bounds hold between knots, too."""
         at = tuple(round(target.share * spans) for target in targets)
         count = max((sum(target.task.bound) for target in targets), default=0)
         asked = functools.partial(self._equations, targets, count) if targets else None
-        samples = functools.partial(self._samples, 0.0 if extra is None else extra, open_end)
+        samples = functools.partial(self._samples, 0.0 if extra is None else extra, open_end, among)
         return programme.Problem(
             *(self.options.degree, self.duration / spans, self._rows(spans, cautious), samples, asked, at, count, open_end),
             cautious=self._reaches / (BOLD if self.hasty else STRIDE) if cautious and self._robots else None,
@@ -260,10 +262,10 @@ class Terms:
         jerks = self.options.degree == 3 and (self.options.jerk_cost or np.isfinite(self.jerk).any())
         return (1, *([2] if bent else []), *([3] if jerks else []))
 
-    def clearance(self, q: np.ndarray) -> np.ndarray:
-        """The clearance (b,) [m] of configurations (b, n)."""
-        each = (in_blocks(_contacts(robot), q, fixed=(around,), double=True)[0] for robot, around, _ in self._robots)
-        return np.min([d.min(axis=1, initial=FAR) for d in each], axis=0)
+    def clearance(self, q: np.ndarray, among: np.ndarray) -> np.ndarray:
+        """The clearance (b, k) [m] of configurations (b, k, n), each row `among` what is in the scene of such a number (b,)."""
+        each = (link_distances(robot, arounds, q, among)[0] for robot, arounds, _ in self._robots)
+        return np.min([d.min(axis=2, initial=FAR) for d in each], axis=0)
 
     def _rows(self, spans: int, cautious: bool) -> tuple[Rows, ...]:
         """The costs and limits of values, rates, accelerations and jerks."""
@@ -286,10 +288,10 @@ class Terms:
         return (*rows, *(more[order] for order in self.orders[1:]))
 
     @property
-    def parts(self) -> list[tuple[Robot, Scene | None, float]]:
-        """Robots, obstacles, and the distance [m] at which these begin to cost. What costs is the robot's distance to itself,
-        and to the scene, each by itself: were it the lesser of both, a link that is always near its neighbour would see nothing
-        else, and the cost would have a kink where both are equally far."""
+    def parts(self) -> list[tuple[Robot, Any, float]]:
+        """Robots, their scene or scenes, and the distance [m] at which these begin to cost. What costs is the robot's distance
+        to itself, and to the scene, each by itself: were it the lesser of both, a link that is always near its neighbour would
+        see nothing else, and the cost would have a kink where both are equally far."""
         if not self.apart:
             return [(self.robot, self.scene, self.options.activation)]
         alone = dataclasses.replace(self.robot, self_pairs=())
@@ -299,23 +301,25 @@ class Terms:
 
     @functools.cached_property
     def _robots(self) -> list[tuple[Robot, Any, float]]:
-        """The `parts` with their obstacles by place; none where nothing is looked at that may be hit."""
-        around = lambda robot, scene: at_margin(grouped(scene, robot), self.options.kept_margin or 0.0)
-        return [(robot, around(robot, scene), near) for robot, scene, near in self.parts if self.options.collision]
+        """The `parts` with their obstacles by place, one for each scene; none where nothing is looked at that may be hit."""
+        margin = self.options.kept_margin or 0.0
+        return [(robot, around(robot, scene, margin), near) for robot, scene, near in self.parts if self.options.collision]
 
     @functools.cached_property
     def _reaches(self) -> np.ndarray:
         return joint_reaches(self.robot)
 
-    def _samples(self, extra: Any, open_end: bool, q: np.ndarray, rate: np.ndarray, which: np.ndarray) -> programme.Samples:
+    def _samples(
+        self, extra: Any, open_end: bool, among: np.ndarray | None, q: np.ndarray, rate: np.ndarray, which: np.ndarray
+    ) -> programme.Samples:
         """The distances of configurations (b, k, n) at knots of the problems `which` (b,), their costs (6.7) and margins."""
         options, (count, knots, n) = self.options, q.shape
         distances, slopes, near = [], [], []
-        for robot, around, activation in self._robots:
-            d, slope = in_blocks(_contacts(robot), q.reshape(-1, n), fixed=(around,), double=True)
-            distances.append(np.minimum(d, FAR).reshape(count, knots, -1))
-            slopes.append(slope.reshape(count, knots, -1, n))
-            near.append(np.full(d.shape[1], activation))
+        for robot, arounds, activation in self._robots:
+            d, slope = link_distances(robot, arounds, q, None if among is None else among[which])
+            distances.append(np.minimum(d, FAR))
+            slopes.append(slope)
+            near.append(np.full(d.shape[2], activation))
         if not self._robots:  # nothing is near
             distances, slopes, near = [np.full((count, knots, 1), FAR)], [np.zeros((count, knots, 1, n))], [np.ones(1)]
         d, slope, close = np.concatenate(distances, 2), np.concatenate(slopes, 2), np.concatenate(near)
@@ -359,13 +363,6 @@ class Terms:
             more = ((0, 0), (0, count - bound))
             parts.append((np.pad(residual, more), np.pad(slopes, (*more, (0, 0))), bend))
         return programme.Equations(*(np.stack(each, axis=1) for each in zip(*parts, strict=True)))
-
-
-@host_kernels(1)
-def _contacts(robot: Robot, q: Any, around: Any) -> Any:
-    """Each link's clearance (l,) and its slopes (l, n)."""
-    apart, slopes = link_contacts(robot, around, q)
-    return apart, jnp.stack(slopes, axis=-1)
 
 
 @host_kernels(3)

@@ -6,7 +6,7 @@ over four knots, its jerk is a mean of, too, and never above.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,8 @@ GAUSS = np.array([-np.sqrt(0.6), 0.0, np.sqrt(0.6)]) / 2.0 + 0.5, np.array([5.0,
 
 
 class Law(NamedTuple):
-    """The way along a path: `place`, `speed` and `acceleration` (m,) at each `time` (m,) [s]; the last is linear between."""
+    """The way along a path: `place`, `speed` and `acceleration` (m,) at each `time` (m,) [s]; the last is linear between. What
+    tells of more than these is of even times."""
 
     time: np.ndarray
     place: np.ndarray
@@ -26,31 +27,37 @@ class Law(NamedTuple):
     @property
     def jerk(self) -> np.ndarray:
         """The jerk (m-1,) between moments."""
-        long = np.diff(self.time)
-        return np.divide(np.diff(self.acceleration), long, out=np.zeros_like(long), where=long > 0.0)
+        return (self.acceleration[1:] - self.acceleration[:-1]) / self.time[1]
 
     def interval(self, t: np.ndarray) -> np.ndarray:
-        """The number of the interval in which each t is."""
-        return np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 2)
+        """The number of the interval in which each t >= 0 is."""
+        return np.minimum((t / self.time[1]).astype(int), len(self.time) - 2)
 
-    def moved(self, t: np.ndarray, i: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The place, speed and acceleration at t, in the intervals i."""
-        e, v, a, jerk = t - self.time[i], self.speed[i], self.acceleration[i], self.jerk[i]
-        return self.place[i] + (v + (0.5 * a + jerk * e / 6.0) * e) * e, v + (a + 0.5 * jerk * e) * e, a + jerk * e
+    def state(self, i: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The place, speed, acceleration and jerk at the beginning of intervals."""
+        a = self.acceleration[i]
+        return self.place[i], self.speed[i], a, (self.acceleration[i + 1] - a) / self.time[1]
 
     def arrivals(self, places: np.ndarray) -> np.ndarray:
         """The times at which the way is at such places, inside of it, by Newton's steps between two moments."""
-        i = np.clip(np.searchsorted(self.place, places) - 1, 0, len(self.time) - 2)
-        first, last = self.time[i], self.time[i + 1]
-        t = first + (last - first) * (places - self.place[i]) / (self.place[i + 1] - self.place[i])
+        i = np.minimum(np.maximum(np.searchsorted(self.place, places) - 1, 0), len(self.time) - 2)
+        (place, *rest), long = self.state(i), self.time[1]
+        e = long * (places - place) / (self.place[i + 1] - place)
         for _ in range(NEWTON):
-            place, speed, _ = self.moved(t, i)
-            t = np.clip(t - (place - places) / np.maximum(speed, 1e-150), first, last)
-        return t
+            moved, speed, _ = after(e, 0.0, *rest)
+            e = np.minimum(np.maximum(e - (moved - (places - place)) / np.maximum(speed, 1e-150), 0.0), long)
+        return self.time[i] + e
 
     def slower(self, factor: float) -> Law:
         """The law that lasts so many times longer."""
         return Law(self.time * factor, self.place, self.speed / factor, self.acceleration / factor**2)
+
+
+def after(e: np.ndarray, place: Any, speed: Any, acceleration: Any, jerk: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The place, speed and acceleration a time later than such a state."""
+    rate = acceleration + jerk * e
+    moved = place + (speed + (2.0 * acceleration + rate) * (e / 6.0)) * e
+    return moved, speed + 0.5 * (acceleration + rate) * e, rate
 
 
 def averaged(time: np.ndarray, place: np.ndarray, speed: np.ndarray, width: float, count: int) -> Law:
@@ -81,23 +88,32 @@ def spline(control: np.ndarray, step: float) -> Law:
 
 def driven(known: Law, squares: np.ndarray, count: int) -> Law:
     """The law s(tau(t)) of a known one s(tau), with (dtau/dt)^2 a quadratic spline of such control values, in even time."""
-    step, ends = known.time[1], np.pad(squares, 1, mode="edge")
-
-    def square(x: np.ndarray) -> np.ndarray:
-        """(dtau/dt)^2 at tau in steps."""
-        i = np.floor(x + 0.5).astype(int)
-        u = x - i
-        return 0.5 * (ends[i] * (0.5 - u) ** 2 + ends[i + 2] * (0.5 + u) ** 2) + ends[i + 1] * (0.75 - u * u)
-
-    fine = np.arange((len(squares) - 1) * FINER + 1) / FINER
-    inside, weights = fine[:-1, None] + GAUSS[0] / FINER, GAUSS[1] * step / FINER
-    time = np.concatenate([[0.0], np.cumsum((weights / np.sqrt(square(inside))).sum(axis=1))])
-    rate = np.sqrt(square(fine)) / step
+    step, ends = known.time[1], np.concatenate([squares[:1], squares, squares[-1:]])
+    each = sum(ends[k : k + len(squares) - 1, None] * weight for k, weight in enumerate(BETWEEN))
+    speed = np.sqrt(each) / step
+    inside = (GAUSS[1] / FINER / speed[:, FINER:].reshape(-1, FINER, 3)).sum(axis=2).ravel()
+    time = np.concatenate([[0.0], np.cumsum(inside)])
+    rate = np.append(speed[:, :FINER], np.sqrt(0.125 * ends[-3] + 0.75 * ends[-2] + 0.125 * ends[-1]) / step)
+    fine = np.arange(len(time)) / FINER
     at = np.linspace(0.0, time[-1], count + 1)
-    i = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
+    i = np.minimum(np.maximum(np.searchsorted(time, at, side="right") - 1, 0), len(time) - 2)
     long = time[i + 1] - time[i]
     e = (at - time[i]) / long  # tau of time, by Hermite's cubics
     x = fine[i] * (1.0 + 2.0 * e) * (1.0 - e) ** 2 + fine[i + 1] * e**2 * (3.0 - 2.0 * e)
     x += long * e * (1.0 - e) * (rate[i] * (1.0 - e) - rate[i + 1] * e)
-    place = np.clip(known.moved(step * x, known.interval(step * x))[0], 0.0, known.place[-1])
+    inside = step * np.maximum(x, 0.0)
+    i = known.interval(inside)
+    place = np.minimum(np.maximum(after(inside - known.time[i], *known.state(i))[0], 0.0), known.place[-1])
     return spline(np.concatenate([[0.0], place[1:-1], known.place[-1:]]), time[-1] / count)
+
+
+def _quadratic(x: np.ndarray) -> np.ndarray:
+    """The weights (4, ...) of control values beside and at both ends of a span in a quadratic spline, at x from 0 to 1."""
+    first = x < 0.5
+    u, none = np.where(first, x, x - 1.0), np.zeros_like(x)
+    three = [0.5 * (0.5 - u) ** 2, 0.75 - u * u, 0.5 * (0.5 + u) ** 2]
+    return np.where(first, np.stack([*three, none]), np.stack([none, *three]))
+
+
+_SHARES = np.arange(FINER) / FINER
+BETWEEN = _quadratic(np.concatenate([_SHARES, (_SHARES[:, None] + GAUSS[0] / FINER).ravel()]))

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxik.kinematics.joint_turns import whole_turns
 from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker
-from jaxik.planning.shortcuts import Places, chains, tightened
+from jaxik.planning.shortcuts import Places, chains, prepare, tightened
 from jaxik.planning.trajectory import JointPath
 from jaxik.planning.tree_search import Searches
 from jaxik.spmd.trace import TEAM_SIZE
@@ -102,6 +102,7 @@ def _proven_ways(
     lower = np.minimum(low, [each.min(axis=0) for each in ends])
     upper = np.maximum(high, [each.max(axis=0) for each in ends])
     searches = Searches(space, starts - turns, [each[1:] for each in ends], lower, upper, seed, among)
+    prepare(space, starts[:1].repeat(2, axis=0))
     clock = Clock(None if seconds is None else seconds * len(starts), progress, searches)
     ways: list[np.ndarray | None] = [None] * len(starts)
     checked = np.zeros(len(starts), int)
@@ -159,7 +160,7 @@ class Clock:
 
 
 def kept_at(space: CollisionChecker, ends: Sequence[np.ndarray], among: np.ndarray) -> list[np.ndarray]:
-    """By how much more than the margin each of the ends (e, n) keeps away from things, the most of `CUSHIONS` (e,) [m]."""
+    """The most of `CUSHIONS` by which each of the ends (e, n) keeps away from things beyond the margin (e,) [m]."""
     rows, counts = np.concatenate(ends), list(map(len, ends))
     hit = space.hits(
         np.tile(rows, (len(CUSHIONS), 1)), np.repeat(CUSHIONS, len(rows)), np.tile(np.repeat(among, counts), len(CUSHIONS))

@@ -22,7 +22,7 @@ from jaxik.collision.scene import Scene, remembered
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.shapes import Volume
 from jaxik.spmd import TEAM, HostKernel, team
-from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.batch import ahead, in_blocks
 from jaxik.spmd.host import host_kernels
 from jaxik.spmd.packed import Packed, packed, unpacked
 from jaxik.spmd.trace import TEAM_SIZE
@@ -93,6 +93,10 @@ class World:
 
         parts = [part(slice(first, first + most)) for first in range(0, max(1, len(among)), most)]
         return [np.concatenate(each) for each in zip(*parts, strict=True)]
+
+    def ahead(self, kernels: Kernels, ask: Callable[[], Any]) -> None:
+        """Lets another thread ask a kernel for the first time, which is needed later."""
+        ahead(kernels(self.robot, self.several), ask)
 
     def each(
         self, kernels: Kernels, asked: np.ndarray, among: np.ndarray | None, sized: bool = False, shared: tuple[Any, ...] = ()

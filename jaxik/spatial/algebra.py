@@ -13,7 +13,8 @@ Derivatives never pass through the polynomials (`custom_jvp`).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import operator
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -35,19 +36,29 @@ def _is(a: Scalar, value: float) -> bool:
     return isinstance(a, float) and bool(a == value)
 
 
-def _alike(a: Scalar, b: Scalar) -> bool:
-    """Whether the plain operation takes them: NumPy's, with its promotion, costs twice the time to trace."""
-    return isinstance(a, jax.Array) and isinstance(b, jax.Array) and a.aval == b.aval
+def _plain(operation: Callable[[Any, Any], Any], general: Callable[[Any, Any], Any], a: Scalar, b: Scalar) -> Scalar:
+    """JAX's `operation`, of arrays of one type, or one and a float, else the `general` one: with NumPy's promotion it costs
+    twice the time to trace."""
+    if isinstance(a, jax.Array):
+        if isinstance(b, jax.Array):
+            return operation(a, b) if a.aval == b.aval else general(a, b)
+        return operation(a, a.dtype.type(b)) if _takes(a, b) else general(a, b)
+    return operation(b.dtype.type(a), b) if isinstance(b, jax.Array) and _takes(b, a) else general(a, b)
+
+
+def _takes(a: jax.Array, number: Scalar) -> bool:
+    """Whether a float becomes one of the array's type, as it does by JAX's promotion."""
+    return type(number) is float and not a.weak_type and a.dtype.kind == "f"
 
 
 def add(a: Scalar, b: Scalar) -> Scalar:
     """`a + b`; 0 folds."""
-    return b if _is(a, 0.0) else a if _is(b, 0.0) else lax.add(a, b) if _alike(a, b) else a + b
+    return b if _is(a, 0.0) else a if _is(b, 0.0) else _plain(lax.add, operator.add, a, b)
 
 
 def sub(a: Scalar, b: Scalar) -> Scalar:
     """`a - b`; 0 folds."""
-    return -b if _is(a, 0.0) else a if _is(b, 0.0) else lax.sub(a, b) if _alike(a, b) else a - b
+    return -b if _is(a, 0.0) else a if _is(b, 0.0) else _plain(lax.sub, operator.sub, a, b)
 
 
 def mul(a: Scalar, b: Scalar) -> Scalar:
@@ -58,7 +69,7 @@ def mul(a: Scalar, b: Scalar) -> Scalar:
         return b if _is(a, 1.0) else a
     if _is(a, -1.0) or _is(b, -1.0):
         return -b if _is(a, -1.0) else -a
-    return lax.mul(a, b) if _alike(a, b) else a * b
+    return _plain(lax.mul, operator.mul, a, b)
 
 
 def safe_divide(a: Any, b: Any) -> Any:
@@ -238,6 +249,9 @@ def _sincos_jvp(primals: Any, tangents: Any) -> Any:
     return (s, c), (c * tangents[0], -s * tangents[0])
 
 
+_traced_sincos = jax.jit(_sincos)  # once for all angles of a type: a robot's kernel has dozens
+
+
 def sincos(x: Scalar) -> tuple[Scalar, Scalar]:
     """Sine and cosine of an angle [rad].
 
@@ -249,8 +263,8 @@ def sincos(x: Scalar) -> tuple[Scalar, Scalar]:
     if isinstance(x, np.ndarray):
         return np.sin(x), np.cos(x)
     if isinstance(x, Ball):
-        return waves(x, *_sincos(x.mid))
-    return _sincos(x)
+        return waves(x, *sincos(x.mid))
+    return _traced_sincos(x) if isinstance(x, jax.core.Tracer) else _sincos(x)
 
 
 @jax.custom_jvp

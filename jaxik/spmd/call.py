@@ -10,7 +10,7 @@ import hashlib
 import importlib.metadata
 import os
 import threading
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence, Set
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxik.garbage import uncollected
 from jaxik.spmd import cache, machine
 from jaxik.spmd.emit import Emitter
 from jaxik.spmd.handler import Row, handler
@@ -86,17 +87,39 @@ def walked(program: Program, needed: Set[int], body: Sequence[int], times: int =
 
 def made(traced: Traced, shared: tuple[bool, ...]) -> Made:
     """The kernel; it is made if there is none. Raises `Unsupported`."""
-    key = traced.digest, shared
+    make = lambda name: _stored(name) or _make(traced, shared, name)
+    with contextlib.suppress(LookupError):  # of a thread that looked for it just now, and makes none
+        return _once((traced.digest, shared), make)
+    return _once((traced.digest, shared), make)
+
+
+def found(digest: str, shared: tuple[bool, ...]) -> Made | None:
+    """The kernel of a program with that digest, in memory or on disk; None if there is none."""
+
+    def look(name: str) -> Made:
+        stored = _stored(name)
+        if stored is None:
+            raise LookupError(name)
+        return stored
+
+    try:
+        return _once((digest, shared), look)
+    except (LookupError, Unsupported):
+        return None
+
+
+def _once(key: tuple[str, tuple[bool, ...]], make: Callable[[str], Made]) -> Made:
+    """Returns what `make` makes of a kernel's name, once for each key; another thread waits for it."""
     with _lock:
         first = key not in _made
         promise = _made.setdefault(key, Future())
     if first:  # other threads make others meanwhile
         try:
-            promise.set_result(_make(traced, shared))
+            promise.set_result(make(_name(*key)))
         except BaseException as error:
-            promise.set_exception(error)
             if not isinstance(error, Unsupported):
                 _made.pop(key)
+            promise.set_exception(error)
     return promise.result()
 
 
@@ -112,15 +135,24 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_after_fork)
 
 
-def _make(traced: Traced, shared: tuple[bool, ...]) -> Made:
+def _name(digest: str, shared: tuple[bool, ...]) -> str:
     if machine.llvm() is None:
         raise Unsupported("without llvmlite (pip install llvmlite)")
     flags = "".join("s" if s else "r" for s in shared)
-    name = f"{cache.OURS}{hashlib.sha256(f'{traced.digest}{flags}{QUICK}{_version()}'.encode()).hexdigest()[:32]}"
+    return f"{cache.OURS}{hashlib.sha256(f'{digest}{flags}{QUICK}{version()}'.encode()).hexdigest()[:32]}"
+
+
+def _stored(name: str) -> Made | None:
+    """The kernel of that name on disk."""
     stored = cache.read(name)
     if stored is not None:
         with contextlib.suppress(RuntimeError, ValueError):  # whole and of no use: another takes its place
             return _linked(stored, name)
+    return None
+
+
+@uncollected()
+def _make(traced: Traced, shared: tuple[bool, ...], name: str) -> Made:
     planned = plan(traced, shared, name)
     image = machine.compiled(planned.text, len(planned.needed) > QUICK)
     stored = np.array([planned.width, planned.chunk]).tobytes() + image
@@ -141,7 +173,7 @@ def _linked(stored: bytes, name: str) -> Made:
 
 
 @functools.cache
-def _version() -> str:
+def version() -> str:
     """The versions that machine code depends on beside its program: this package, LLVM, JAX's calls, the processor."""
     sources = b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.rglob("*.py")))
     versions = [importlib.metadata.version(p) for p in ("llvmlite", "jaxlib")]

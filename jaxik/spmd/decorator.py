@@ -14,11 +14,13 @@ import numpy as np
 
 from jaxik.spmd.primitive import bind, warn
 from jaxik.spmd.scalarise import Unsupported, scalarised
-from jaxik.spmd.trace import Traced, ordering, replaced, trace
+from jaxik.spmd.trace import Recalled, Traced, is_inside, ordering, replaced, trace
+from jaxik.spmd.trace_records import Record, keep, recalled, record_name
 
 P = ParamSpec("P")
 R = TypeVar("R")
 Order = Callable[..., Any]
+_ONE = jax.tree_util.tree_structure(0)
 TRACES = 256  # jaxprs of one function, of robots and shapes; their machine code is kept for good
 
 
@@ -76,25 +78,26 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
         leaves, tree = jax.tree_util.tree_flatten(rest)
         if not all(isinstance(x, jax.Array) or np.asarray(x).dtype.kind in "biuf" for x in leaves):
             return function(*args, **named)  # what is no number is the function's own to refuse
-        leaves = [x if isinstance(x, jax.Array) else jnp.asarray(x) for x in leaves]
-        operands = [*(numbers[i] for i in moving), *leaves]
-        shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type) for x in operands]
+        operands = [*(numbers[i] for i in moving), *map(_operand, leaves)]
+        weak = [isinstance(x, jax.Array) and x.weak_type for x in operands]
+        shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=w) for x, w in zip(operands, weak, strict=True)]
         width, kinds = jnp.result_type(float), tuple(map(type, numbers))  # 1, 1.0 and True are equal
         key = None if moving else (fixed, kinds, tree, tuple((x.shape, x.dtype, x.weak_type) for x in shapes), width)
         found = known.get(key)
         if found is None:
             name = getattr(function, "__name__", "a function")
             with contextlib.suppress(TypeError, ValueError):
-                found = trace(_flattened(function, name, fixed, moving, tree), shapes)
+                found = _recalled_or_traced(function, _flattened(function, name, fixed, moving, tree), shapes, key, models > 0)
             if found is None:
                 return function(*args, **named)  # says what is wrong in its own words, of what was given
             if order is not None and not moving:
-                found[0].order = ordering(_flattened(order, f"the order of {name}", fixed, moving, tree), shapes)
+                ordered = _flattened(order, f"the order of {name}", fixed, moving, tree)
+                found[0].order_of = functools.partial(ordering, ordered, shapes, width == np.float64)
             # what a function of models closes over is theirs; of another it may be another array in the next call
             if key is not None and not any(isinstance(x, jax.core.Tracer) or not models for x in found[2]):
                 known.keep(key, found)
         traced, results, more = found
-        if traced.closed.effects:  # what prints or talks to other lanes stands where it is called, or it would be lost
+        if traced.has_effects:  # what prints or talks to other lanes stands where it is called, or it would be lost
             try:
                 scalarised(traced)
             except Unsupported as error:
@@ -106,6 +109,29 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
 
     call.models = models  # type: ignore[attr-defined]
     return call
+
+
+def _recalled_or_traced(
+    function: Callable[..., Any], flat: Callable[..., Any], shapes: list[Any], key: Any, models: bool
+) -> tuple[Traced, Any, list[Any]]:
+    """The trace of a function as a `flat` one, or what a record tells of it: who has its kernel on disk traces nothing. Kept is
+    what a function of this library gives that is one array, unless another function is being traced."""
+    name = None if key is None or is_inside() else record_name("kernel", function, *key)
+    record = None if name is None else recalled(name)
+    if record is None:
+        traced, results, more = trace(flat, shapes)
+        theirs = all(models and not isinstance(x, jax.core.Tracer) for x in more)
+        if name is not None and results == _ONE and theirs and not traced.has_effects:
+            keep(name, Record(traced.digest, traced.outputs, [np.asarray(x) for x in more]))
+        return traced, results, more
+
+    def again() -> Traced:
+        with jax.enable_x64(key[-1] == np.float64):
+            return trace(flat, shapes)[0]
+
+    aval = lambda x, weak: jax.core.ShapedArray(x.shape, x.dtype, weak_type=weak)
+    inputs = [*(aval(x, x.weak_type) for x in shapes), *(aval(x, False) for x in record.arrays)]
+    return Recalled(flat.__name__, record.digest, inputs, record.outputs, again), _ONE, list(record.arrays)
 
 
 def _flattened(function: Callable[..., Any], name: str, fixed: Any, moving: list[int], tree: Any) -> Callable[..., Any]:
@@ -121,6 +147,13 @@ def _flattened(function: Callable[..., Any], name: str, fixed: Any, moving: list
 
     flat.__name__ = name
     return flat
+
+
+def _operand(x: Any) -> Any:
+    """A number or an array as JAX takes it. NumPy's stay so: each shape that becomes one of JAX's compiles a program of XLA."""
+    if isinstance(x, np.ndarray | np.generic) and x.dtype.isnative and x.dtype.itemsize <= 8:
+        return np.asarray(x, jax.dtypes.canonicalize_dtype(x.dtype))
+    return x if isinstance(x, jax.Array) else jnp.asarray(x)
 
 
 def _keywords(function: Callable[..., Any]) -> frozenset[str]:

@@ -8,6 +8,9 @@ from __future__ import annotations
 import array
 import ctypes
 import functools
+import os
+import threading
+import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -15,13 +18,20 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxik.garbage import uncollected
 from jaxik.spmd import call
 from jaxik.spmd.program import Unsupported
 from jaxik.spmd.threads import CHUNK, DONE, FIRST, INNER, NEXT, TOTAL, VECTORS
-from jaxik.spmd.trace import Traced, trace
+from jaxik.spmd.trace import trace
+from jaxik.spmd.trace_records import Record, keep, recalled, record_name
 
 PAYS = 4  # chunks a thread for which it is worth to wake one from Python, about 40 us
 _NARROW = {np.dtype(np.int64): np.dtype(np.int32), np.dtype(np.uint64): np.dtype(np.uint32)}
+
+
+_making: weakref.WeakKeyDictionary[HostKernel, threading.RLock] = weakref.WeakKeyDictionary()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_making.clear)  # nobody goes on with what another thread was making
 
 
 class HostKernel:
@@ -37,7 +47,7 @@ class HostKernel:
 
     def __init__(self, function: Callable[..., Any], lanes: int):
         self.function, self.lanes = function, lanes
-        self.known: dict[Any, tuple[Traced, call.Made, list[np.ndarray]]] = {}
+        self.known: dict[Any, tuple[list[Any], call.Made, list[np.ndarray]]] = {}
 
     def __reduce__(self) -> Any:
         return HostKernel, (self.function, self.lanes)  # another process makes its own
@@ -106,10 +116,18 @@ class HostKernel:
         key = tree, double, rows, tuple(shapes), "".join([x.dtype.char for x in operands])
         found = self.known.get(key)
         if found is None:
-            found = self.known[key] = self._made(*key)
-        traced, made, more = found
+            found = self._once(key)
+        outputs, made, more = found
         operands += more
-        return made, operands, [np.empty((count, *a.shape), a.dtype) for a in traced.outputs], count
+        return made, operands, [np.empty((count, *a.shape), a.dtype) for a in outputs], count
+
+    def _once(self, key: Any) -> tuple[list[Any], call.Made, list[np.ndarray]]:
+        """Makes a kernel, or waits for the thread that does."""
+        with _making.setdefault(self, threading.RLock()):
+            found = self.known.get(key)
+            if found is None:
+                found = self.known[key] = self._made(*key)
+            return found
 
     @functools.cached_property
     def by_xla(self) -> Callable[..., Any]:
@@ -120,17 +138,31 @@ class HostKernel:
 
         return jax.jit(batch)
 
-    def _made(self, tree: Any, double: bool, rows: int, shapes: Any, kinds: str) -> tuple[Traced, call.Made, list[np.ndarray]]:
-        """Returns the trace, its kernel, and the large arrays that the function closes over, which are operands."""
+    @uncollected()
+    def _made(
+        self, tree: Any, double: bool, rows: int, shapes: Any, kinds: str
+    ) -> tuple[list[Any], call.Made, list[np.ndarray]]:
+        """Returns what the results are, the kernel, and the large arrays that the function closes over, which are operands. The
+        function is traced if no record tells them."""
         if jax.default_backend() != "cpu":
             raise Unsupported("other platforms than a CPU")
+        shared = lambda count: tuple(k >= rows for k in range(count))
+        name = record_name(self.function, tree, double, rows, shapes, kinds)
+        record = None if name is None else recalled(name)
+        if record is not None:
+            made = call.found(record.digest, shared(len(shapes) + len(record.arrays)))
+            if made is not None:
+                return record.outputs, made, record.arrays
         with jax.enable_x64(double):
             flat = lambda *x: self.function(*jax.tree_util.tree_unflatten(tree, x))
             traced, _, more = trace(flat, [jax.ShapeDtypeStruct(s, np.dtype(k)) for s, k in zip(shapes, kinds, strict=True)])
         if any(isinstance(x, jax.core.Tracer) for x in more):
             raise Unsupported("traced arrays that are closed over")
         arrays = [np.ascontiguousarray(x) for x in more]
-        return traced, call.made(traced, tuple(k >= rows for k in range(len(traced.inputs)))), arrays
+        made = call.made(traced, shared(len(traced.inputs)))
+        if name is not None:
+            keep(name, Record(traced.digest, traced.outputs, arrays))
+        return traced.outputs, made, arrays
 
 
 def host_kernels(lanes: int, known: int = 64) -> Callable[[Callable[..., Any]], Callable[..., HostKernel]]:

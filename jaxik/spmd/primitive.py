@@ -63,7 +63,8 @@ _first: dict[Any, Traced] = {}  # of equal programs the one that came first, so 
 def _(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
     if jax.config.jax_debug_nans or jax.config.jax_debug_infs:  # type: ignore[attr-defined]
         return _debugged(traced, _by_xla(*args, traced=traced, batch=batch, masks=masks))
-    key = traced.digest, traced.order and traced.order.digest, tuple(a.weak_type for a in traced.outputs)
+    order = traced.order if math.prod(batch) >= _LARGE else None
+    key = traced.digest, order and order.digest, tuple(a.weak_type for a in traced.outputs)
     return _jitted(_first.setdefault(key, traced), batch, masks)(*args)
 
 
@@ -201,7 +202,7 @@ def _on_cpu(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) ->
         warn(traced, str(error))
         return _by_xla(*args, traced=traced, batch=batch, masks=masks)
     shapes = [jax.ShapeDtypeStruct((*grid, n), a.dtype) for a, n in zip(outputs, sizes, strict=True)]
-    rows = _side_by_side(traced.order, grid, operands) if traced.order is not None else None
+    rows = _side_by_side(traced, grid, operands)
     if rows is None:
         found = jax.ffi.ffi_call(name, shapes)(*operands)
     else:
@@ -211,10 +212,11 @@ def _on_cpu(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) ->
     return [x.reshape(*batch, *a.shape) for x, a in zip(found, outputs, strict=True)]
 
 
-def _side_by_side(order: Traced, grid: tuple[int, int], operands: Sequence[Any]) -> Any:
-    """The rows of a large batch so that lanes that do alike are neighbours; None for others."""
+def _side_by_side(traced: Traced, grid: tuple[int, int], operands: Sequence[Any]) -> Any:
+    """The rows of a large batch so that lanes that do alike are neighbours; None for others, and without an order."""
     outer, inner = grid
-    if outer != 1 or inner < _LARGE:
+    order = traced.order if outer == 1 and inner >= _LARGE else None
+    if order is None:
         return None
     own = [x.shape[1] > 1 for x in operands[: len(order.inputs)]]
     shapes = [(*[inner] * lane, *a.shape) for lane, a in zip(own, order.inputs, strict=True)]

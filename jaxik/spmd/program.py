@@ -187,7 +187,11 @@ class Program:
 
     def _known(self, op: Op, first: int = 0) -> int | None:
         """The value of an operation that an open block has, from the `first` of them on."""
-        return next((block.known[op] for block in self.blocks[first:] if op in block.known), None)
+        for block in self.blocks[first:]:
+            value = block.known.get(op)
+            if value is not None:
+                return value
+        return None
 
     def place(self, op: Op, needs: Sequence[int]) -> int:
         """The operation in the outermost block that knows what it `needs`; one that is there already is taken."""

@@ -73,9 +73,14 @@ class Array:
 
 def type_of(aval: Any) -> str:
     """A program's type for an array's. Raises `Unsupported` for what has none."""
-    name = TYPES.get(np.dtype(aval.dtype)) if not jax.dtypes.issubdtype(aval.dtype, jax.dtypes.extended) else None
+    return _type_of(aval.dtype)
+
+
+@functools.cache
+def _type_of(dtype: Any) -> str:
+    name = TYPES.get(np.dtype(dtype)) if not jax.dtypes.issubdtype(dtype, jax.dtypes.extended) else None
     if name is None:
-        raise Unsupported(f"numbers of type {aval.dtype}")
+        raise Unsupported(f"numbers of type {dtype}")
     return name
 
 
@@ -111,7 +116,8 @@ class Scalariser:
             if rule is None:
                 raise Unsupported(f"the primitive '{eqn.primitive.name}'")
             if self.tangents is not None:
-                self.program.structural = any(not isinstance(v, Literal) and v in self.tangents for v in eqn.invars)
+                moves = bool(self.tangents) and any(not isinstance(v, Literal) and v in self.tangents for v in eqn.invars)
+                self.program.structural = moves
             results = rule(self, eqn, *map(read, eqn.invars))
             if len(self.program.ops) > MOST:
                 raise Unsupported(f"more than {MOST} operations")
@@ -346,7 +352,9 @@ class Scalariser:
         """An operation entry by entry."""
         if all(x.memory is None and not x.shape for x in arrays):
             return Array(np.array(self.program.op(code, kind, *(x.at.item() for x in arrays)), np.int64), kind)
-        op, many = self.program.op, np.broadcast_arrays(*map(self.values, arrays))
+        op, many = self.program.op, list(map(self.values, arrays))
+        if any(m.shape != many[0].shape for m in many):
+            many = list(np.broadcast_arrays(*many))
         flat = [op(code, kind, *each) for each in zip(*(m.ravel().tolist() for m in many), strict=True)]
         return Array(np.array(flat, np.int64).reshape(many[0].shape), kind)
 
@@ -390,7 +398,7 @@ def unflattened(flat: Sequence[int], shapes: Sequence[tuple[int, ...]], kinds: S
     """Arrays of these shapes and types from their values in one row."""
     found, start = [], 0
     for shape, kind in zip(shapes, kinds, strict=True):
-        size = int(np.prod(shape))
+        size = math.prod(shape)
         found.append(Array(np.array(flat[start : start + size], np.int64).reshape(shape), kind))
         start += size
     return found

@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 import functools
 import hashlib
+import threading
 import uuid
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -14,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
+from jaxik.garbage import uncollected
 from jaxik.spmd.tangents import custom, is_linear
 
 _OPERAND = 512  # entries of an array that is closed over, from which it is an operand: another table compiles nothing
@@ -29,9 +31,10 @@ def on_one_device() -> Any:
 class Traced:
     """A jaxpr whose constants are numbers; what it closed over beside them are its last arguments. A derivative's last
     constants are the unit vectors along which it is one, so many `seeds`, and its first results are the `values` of another.
-    Its `order` is a program of the same first arguments: lanes for which it gives like numbers do alike."""
+    Its `order` is a program of the same first arguments: lanes for which it gives like numbers do alike; it is made by
+    `order_of` when it is first asked for, since most batches are small."""
 
-    order: Traced | None = None
+    order_of: Callable[[], Traced | None] | None = None
 
     def __init__(self, closed: ClosedJaxpr, seeds: int = 0, name: str = "", values: Traced | None = None):
         self.closed, self.seeds, self.values = closed, seeds, values
@@ -45,6 +48,14 @@ class Traced:
     @property
     def outputs(self) -> list[Any]:
         return [v.aval for v in self.closed.jaxpr.outvars]
+
+    @property
+    def has_effects(self) -> bool:
+        return bool(self.closed.effects)
+
+    @functools.cached_property
+    def order(self) -> Traced | None:
+        return self.order_of() if self.order_of is not None else None
 
     @functools.cached_property
     def digest(self) -> str:
@@ -63,7 +74,7 @@ class Traced:
             with on_one_device():
                 way, seeds = _derivative(self.closed, active)
             found = Traced(way, seeds, f"the derivative of {self.name}", self)
-            found.order = self.order
+            found.order_of = lambda: self.order
             self.derivatives[active] = found if self._is_matrix(found) else None
         return self.derivatives[active]
 
@@ -75,12 +86,48 @@ class Traced:
         return not custom(self.closed.jaxpr) or is_linear(closed.jaxpr, variables, closed.consts, len(self.outputs))
 
 
+class Recalled(Traced):
+    """A trace without effects of which a record tells the name of its kernel: it is made `again` when more is asked, as by a
+    derivative or another kernel around it."""
+
+    has_effects = False
+
+    def __init__(self, name: str, digest: str, inputs: list[Any], outputs: list[Any], again: Callable[[], Traced]):
+        self.name, self.seeds, self.values, self.derivatives = name, 0, None, {}
+        self.digest, self.again, self._ends = digest, again, (inputs, outputs)
+
+    @functools.cached_property
+    def closed(self) -> ClosedJaxpr:  # type: ignore[override]
+        return self.again().closed
+
+    @property
+    def inputs(self) -> list[Any]:
+        return self._ends[0]
+
+    @property
+    def outputs(self) -> list[Any]:
+        return self._ends[1]
+
+
+_inside = threading.local()
+
+
+def is_inside() -> bool:
+    """Whether this thread traces a function at the moment, of which what is traced is part."""
+    return getattr(_inside, "depth", 0) > 0
+
+
+@uncollected()
 def trace(function: Callable[..., Any], args: Sequence[Any], team: bool = False) -> tuple[Traced, Any, list[Any]]:
     """The function of flat `args`, the tree of its results, and what it closes over that is an operand; a `team`'s lane may
     speak to the others."""
     axes = [(TEAM, TEAM_SIZE)] if team else None
-    with on_one_device():
-        closed, shape = jax.make_jaxpr(function, axis_env=axes, return_shape=True)(*args)
+    _inside.depth = getattr(_inside, "depth", 0) + 1
+    try:
+        with on_one_device():
+            closed, shape = jax.make_jaxpr(function, axis_env=axes, return_shape=True)(*args)
+    finally:
+        _inside.depth -= 1
     tree = jax.tree_util.tree_structure(shape)
     outer = [isinstance(c, jax.core.Tracer) or np.size(c) >= _OPERAND for c in closed.consts]
     jaxpr = closed.jaxpr
@@ -93,9 +140,11 @@ def trace(function: Callable[..., Any], args: Sequence[Any], team: bool = False)
     return Traced(ClosedJaxpr(whole, numbers)), tree, more
 
 
-def ordering(function: Callable[..., Any], args: Sequence[Any]) -> Traced | None:
-    """The program of an order, a number from 0 to 1; None where there is none, or it would have operands of its own."""
-    traced, _, more = trace(function, args)
+def ordering(function: Callable[..., Any], args: Sequence[Any], double: bool) -> Traced | None:
+    """The program of an order, a number from 0 to 1, in such a width; None where there is none, or it would have operands of
+    its own."""
+    with jax.enable_x64(double):
+        traced, _, more = trace(function, args)
     return None if more or not traced.outputs else traced
 
 
@@ -192,11 +241,15 @@ def digest(closed: ClosedJaxpr) -> str:
     return _Digest().of(closed).hex()[:32]
 
 
+_PLAIN = frozenset((bool, int, str, type(None)))
+
+
 class _Digest:
     """The hash of a jaxpr, and of those inside it, of which many are one and the same."""
 
     def __init__(self) -> None:
         self.known: dict[int, bytes] = {}  # of the jaxprs by id: the outermost keeps them all
+        self.texts: dict[int, bytes] = {}  # of what else is in them, by id, likewise
         self.kind = functools.cache(lambda aval: aval.str_short().encode())
         self.name = functools.cache(lambda dtype: f"{dtype}".encode())
 
@@ -235,7 +288,9 @@ class _Digest:
             self.value(v.val, content, v.aval) if isinstance(v, Literal) else content.update(b">%b" % number(v))
 
     def value(self, value: Any, content: Any, aval: Any = None) -> None:
-        if isinstance(value, ClosedJaxpr):
+        if aval is None and type(value) in _PLAIN:
+            content.update(b"%r;" % (value,))
+        elif isinstance(value, ClosedJaxpr):
             content.update(self.of(value))
         elif isinstance(value, Jaxpr):
             content.update(self.jaxpr(value))
@@ -254,6 +309,12 @@ class _Digest:
                 content.update(f"{key}:".encode())
                 self.value(value[key], content)
         else:
-            text = f"{type(value).__name__}.{value.name}" if isinstance(value, enum.Enum) else repr(value)
-            # what has an address in its name is itself and nothing else
-            content.update((uuid.uuid4().hex if " at 0x" in text else text + ";").encode())
+            text = self.texts.get(id(value))  # of a mesh or a sharding that all calls have
+            if text is None:
+                text = self.texts[id(value)] = self.text(value).encode()
+            content.update(text)
+
+    def text(self, value: Any) -> str:
+        text = f"{type(value).__name__}.{value.name}" if isinstance(value, enum.Enum) else repr(value)
+        # what has an address in its name is itself and nothing else
+        return uuid.uuid4().hex if " at 0x" in text else text + ";"

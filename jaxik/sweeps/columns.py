@@ -28,19 +28,24 @@ class Column(NamedTuple):
     dims: tuple[str, ...] = ()
 
 
+def _flags(reasons: list[Reason]) -> dict[str, Any]:
+    """The attributes of a column of reasons, as CF's conventions have them."""
+    return {"flag_values": [*map(int, reasons)], "flag_meanings": " ".join(r.name.lower() for r in reasons)}
+
+
 def _column(dtype: str, nothing: Any, name: str, units: str | None = None, *dims: str, **more: Any) -> Column:
     return Column(dtype, nothing, {"long_name": name, **({"units": units} if units else {}), **more}, dims)
 
 
 FREEDOM = "smallest distance of a revolute joint to its nearest limit, as a share of half its range (1: all in the middle)"
 JOINTS = "rad, m for prismatic joints"
-REASONS = [*Reason][:6]  # others are of motions along a path
-FLAGS: dict[str, Any] = {"flag_values": [*map(int, REASONS)], "flag_meanings": " ".join(r.name.lower() for r in REASONS)}
+REASONS = [*Reason][:6]  # of a posture
+MOVED = [*REASONS, Reason.NO_WAY]  # of a motion from posture to posture; others are of motions along a path
 POSTURES = {
     "position": _column("f8", np.nan, "where the tool goes", "m", "xyz"),
     "quaternion": _column("f8", np.nan, "how the tool is turned there; NaN where its rotation is free", None, "wxyz"),
     "reachable": _column("bool", False, "a posture inside the limits has the target and, where asked for, is clear"),
-    "reason": _column("i1", -1, "what became of the target", **FLAGS),
+    "reason": _column("i1", -1, "what became of the target", **_flags(REASONS)),
     "proven": _column("bool", False, "reachable, or proven not to be for any position of the leading joints"),
     "between": _column("bool", False, "found between the positions of the grid of leading joints, where the grid has none"),
     "solutions": _column("i4", 0, "number of different postures found that are inside the limits and clear"),
@@ -58,9 +63,11 @@ ENDS = {
 PLACES: dict[str, Any] = {"flag_values": [0, 1, 2], "flag_meanings": "neither start goal"}
 MOTIONS = {
     "reachable": _column("bool", False, "a motion from the start has the target, proven free on its whole way"),
-    "reason": _column("i1", -1, "what became of the motion", **FLAGS),
+    "reason": _column("i1", -1, "what became of the motion", **_flags(MOVED)),
     "where": _column("i1", 0, "the end of it that the reason is of", **PLACES),
-    "proven": _column("bool", False, "reachable, or refused for an end of it, by more than a search that ended"),
+    "proven": _column(
+        "bool", False, "reachable, or refused for an end of it, or as there is no way, by more than a search that ended"
+    ),
     "q": _column("f8", np.nan, "posture that the motion ends at", JOINTS, "joint"),
     "duration": _column("f8", np.nan, "how long the motion takes", "s"),
     "length": _column("f8", np.nan, "of its straight lines; joints weighted by the most their unit moves the robot", "m"),
@@ -81,6 +88,11 @@ def columns_of(study: Study) -> dict[str, Column]:
         return POSTURES
     targets = ENDS if isinstance(study.targets, Postures) else {name: POSTURES[name] for name in GIVEN}
     return targets | MOTIONS | {name: column for name, column in WAY.items() if getattr(study.motions, name)}
+
+
+def reasons_of(study: Study) -> list[Reason]:
+    """The reasons that there may be in a study's store."""
+    return REASONS if study.motions is None else MOVED
 
 
 def sizes_of(study: Study) -> dict[str, int]:

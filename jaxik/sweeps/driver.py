@@ -94,7 +94,7 @@ class SweepResult:
             colliding = rows.start + np.flatnonzero(_hit(store, int(number)))[:most]
             if len(colliding):
                 break
-        among, scene = study.targets.among, study.scene or make_scene()
+        among, scene = study.targets.among, study.scene_of(variant) or make_scene()
         if among is not None and len(colliding):
             scene = study.targets.scenes[among[colliding[0]]]
             colliding = colliding[among[colliding] == among[colliding[0]]]
@@ -136,9 +136,10 @@ def sweep(
     mine = range(first - 1, len(read.variants) * read.chunks, every)
     finished = store.finished()
     todo = [n for n in mine if not finished[n] or _kept(store, n, repair) is None]
-    if todo and read.scene is not None:
-        robot, *others = (variant.robot for variant in read.variants)
-        warn_of_scene("sweep", robot, read.scene, read.margin, *others)
+    robots = list(dict.fromkeys(variant.robot for variant in read.variants))
+    for scene in [read.scene, *(scene for _, scene in read.around)] if todo else []:
+        if scene is not None:
+            warn_of_scene("sweep", robots[0], scene, read.margin, *robots[1:])
     report = progress or (lambda done, total: None)
     sizes = {n: (rows := read.work(n)[2]).stop - rows.start for n in mine}
     total = sum(sizes.values())

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from jaxik.collision.scene import Scene
 from jaxik.files.robot_toml import Table
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
@@ -107,6 +109,39 @@ def _checked(row: Table, robots: list[Robot], **options: Any) -> PlanOptions:
     except ValueError as error:
         raise row.fail(str(error), "change it") from None
     return plan
+
+
+def read_around(row: Table, moving: bool, read: Callable[[str], Scene]) -> tuple[tuple[str, Scene], ...]:
+    """The named scenes of a study's [collision], of which each is a place along an axis: a list of scenes and files, which
+    `read` reads, or a table of them. Raises `LoadError` for what cannot be meant."""
+    given = row.content.get("scenes")
+    if given is None:
+        return ()
+    if not moving:
+        raise row.fail("scenes are an axis of motions", "write [motions], or one scene")
+    if "scene" in row.content:
+        raise row.fail("scene and scenes both say what is in the way", "keep one")
+    pairs = (
+        list(given.items()) if isinstance(given, dict) else [("", x) for x in given] if isinstance(given, list | tuple) else []
+    )
+    if not pairs or not all(isinstance(scene, Scene | str) for _, scene in pairs):
+        raise row.fail("scenes is no list or table of scenes", 'write scenes = ["one.toml", "two.toml"]')
+    scenes = [(name, scene if isinstance(scene, Scene) else read(scene)) for name, scene in pairs]
+    if not isinstance(given, dict):  # by their own names, where these tell them apart
+        own = [scene.name for _, scene in scenes]
+        told = len({*own} - {""}) == len(own)
+        scenes = [(own[i] if told else f"scene {i + 1}", scene) for i, (_, scene) in enumerate(scenes)]
+    return tuple(scenes)
+
+
+def among_scenes(
+    around: tuple[tuple[str, Scene], ...], axes: Axes, variants: tuple[Variant, ...]
+) -> tuple[Axes, tuple[Variant, ...]]:
+    """The variants in each of some scenes; without any they are as they were."""
+    if not around:
+        return axes, variants
+    found = tuple(dataclasses.replace(v, index=(*v.index, i)) for v in variants for i in range(len(around)))
+    return (*axes, ("scene", tuple(name for name, _ in around))), found
 
 
 def from_starts(motions: Motions, axes: Axes, variants: tuple[Variant, ...]) -> tuple[Axes, tuple[Variant, ...]]:

@@ -16,6 +16,7 @@ from jaxik.sweeps.postures import Postures
 from jaxik.sweeps.robot_variants import Variant, at_home
 from jaxik.sweeps.study import Study
 
+CERTAIN = (Reason.SOLVED, Reason.OUT_OF_REACH, Reason.INVALID, Reason.NO_WAY)
 REFUSED = (Reason.LIMITS, Reason.COLLISION)
 
 
@@ -33,7 +34,7 @@ def moved(study: Study, variant: Variant, rows: slice) -> Columns:
         columns |= given_columns(study.targets, rows)
     for i in np.unique(among):
         some = np.flatnonzero(among == i)
-        scene = seen_from(base_T_world, study.scene if own is None else study.targets.scenes[i])
+        scene = seen_from(base_T_world, study.scene_of(variant) if own is None else study.targets.scenes[i])
         found = plan_motion(robot, starts[some], goals[some], scene=scene, seed=study.seed, options=study.motions.plan)
         _enter(study, columns, some, found)
     return {name: np.asarray(columns[name], column.dtype) for name, column in columns_of(study).items()}
@@ -72,7 +73,7 @@ def _postures(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The starts and the goals (r, n), random ones free of what is in the way."""
     assert isinstance(study.targets, Postures)
-    space = CollisionChecker(robot, seen_from(base_T_world, study.scene), study.margin)
+    space = CollisionChecker(robot, seen_from(base_T_world, study.scene_of(variant)), study.margin)
     free = lambda q: judged(robot, space, q) == Reason.SOLVED
     return study.targets.ends(robot, rows, variant.start, study.seed, free)
 
@@ -84,8 +85,7 @@ def _enter(study: Study, columns: Columns, some: np.ndarray, found: PlanResult) 
     columns["reason"][some], columns["where"][some], columns["rounds"][some] = reason, where, found.rounds
     columns["reachable"][some], columns["length"][some] = reason == Reason.SOLVED, found.length
     refused = np.isin(reason, REFUSED) & ((where == WHERE.index("start")) | isinstance(study.targets, Postures))
-    certain = np.isin(reason, (Reason.SOLVED, Reason.OUT_OF_REACH, Reason.INVALID))
-    columns["proven"][some] = certain | refused
+    columns["proven"][some] = np.isin(reason, CERTAIN) | refused
     for row, way, trajectory in zip(some.tolist(), found.waypoints, found.trajectory, strict=True):
         if way is None:
             continue

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.checks.options import optional, shown
-from jaxik.sweeps.columns import GIVEN, REASONS, Column, Columns, columns_of, given_columns, sizes_of
+from jaxik.sweeps.columns import GIVEN, Column, Columns, columns_of, given_columns, reasons_of, sizes_of
 from jaxik.sweeps.postures import Postures
 from jaxik.sweeps.robot_variants import variant_name
 from jaxik.sweeps.study import Study
@@ -246,7 +246,7 @@ def _attributes(study: Study) -> dict[str, Any]:
         "joint_names": {str(v.robot.name): list(v.robot.joint_names) for v in study.variants},
         "joint_types": list(study.variants[0].robot.joint_types),
         "margin": study.margin if study.collision else None,
-        "reasons": {r.text: int(r) for r in REASONS},
+        "reasons": {r.text: int(r) for r in reasons_of(study)},
         "grid": [[float(x) for x in axis] for axis in study.targets.axes],
         "targets_per_position": study.targets.turns,
         **{name: known[name] for name in ("models", "seed", "versions")},

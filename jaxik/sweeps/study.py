@@ -34,7 +34,7 @@ from jaxik.reach.grasp import Grasp
 from jaxik.reach.scoring import PostureOptions
 from jaxik.spatial.rotations import frame, from_rpy
 from jaxik.sweeps import targets as sources
-from jaxik.sweeps.motions import Motions, from_starts, read_motions
+from jaxik.sweeps.motions import Motions, among_scenes, from_starts, read_around, read_motions
 from jaxik.sweeps.postures import KINDS as POSTURES
 from jaxik.sweeps.postures import read_postures
 from jaxik.sweeps.robot_variants import Variant, all_variants, read_shapes, variant_name
@@ -62,6 +62,9 @@ class Study(PostureOptions, who="study"):
     )
     targets: Targets = instance(kind=Targets, words="what each variant is asked for")
     scene: Scene | None = instance(default=None, kind=Scene, optional=True, words="the obstacles, the same for all targets")
+    around: tuple[tuple[str, Scene], ...] = anything(
+        default=(), words="the obstacles of each place along an axis of scenes, by its name, in the place of one scene"
+    )
     collision: bool = flag(default=False, words="whether postures are to be clear of the scene and of the robot itself")
     slides: int = count(default=41, words="positions of each leading joint where the closed form answers")
     refine: int = count(default=5, least=0, words="halvings of the gaps between them where they have nothing")
@@ -108,6 +111,12 @@ class Study(PostureOptions, who="study"):
         """The number of joints of the robot that has most."""
         return max(v.robot.num_joints for v in self.variants)
 
+    def scene_of(self, variant: Variant) -> Scene | None:
+        """The obstacles around a variant, the same for all targets."""
+        if not self.around:
+            return self.scene
+        return self.around[variant.index[[name for name, _ in self.axes].index("scene")]][1]
+
     def work(self, number: int) -> tuple[Variant, int, slice]:
         """The variant, chunk and targets of one piece of work; there are `len(variants) * chunks`."""
         variant, chunk = divmod(number, self.chunks)
@@ -122,6 +131,7 @@ class Study(PostureOptions, who="study"):
             "targets": self.targets.describe(),
             "scene": None if self.scene is None else f"{self.scene.name} {_digest(self.scene)}",
             "scenes": [_digest(s) for s in self.targets.scenes] if self.collision else [],
+            **({"around": {name: _digest(scene) for name, scene in self.around}} if self.around else {}),
             **{name: getattr(self, name) for name in OWN},
             "ik": {name: getattr(self.ik, name) for name in (*IK_KEYS, *TOLERANCES)},
             **({} if self.motions is None else {"motions": self.motions.describe()}),
@@ -154,7 +164,7 @@ def _read(table: Table, folder: Path) -> Study:
     robots = _robots(table, folder)
     bases, shapes = _bases(table), read_shapes(table)
     axes, variants = all_variants(table, robots, bases, shapes)
-    scene, wanted = _collision(table, folder)
+    scene, around, wanted = _collision(table, folder)
     moving = "motions" in given
     collision = moving or "collision" in given
     tool = table.table("tool")
@@ -172,14 +182,14 @@ def _read(table: Table, folder: Path) -> Study:
     robots_of = [v.robot for v in variants]
     motions = read_motions(table, robots_of, targets, ik.task, wanted["margin"]) if moving else None
     if motions is not None:
-        axes, variants = from_starts(motions, axes, variants)
+        axes, variants = from_starts(motions, *among_scenes(around, axes, variants))
     name = table.text("name", "sweep")
     table.close()
     for variant in variants if collision else ():
         mend = "write {file = ..., meshes = true}" if variant.robot.unread_meshes else "or leave [collision] out"
         _made(table.table("collision"), mend, check_geometry, variant.robot)
     own: dict[str, Any] = {"variants": variants, "axes": axes, "targets": targets, "scene": scene, "collision": collision}
-    return Study(name=name, ik=ik, motions=motions, **own | wanted | counts)
+    return Study(name=name, ik=ik, motions=motions, around=around, **own | wanted | counts)
 
 
 def _made(row: Table, mend: str, make: Callable[..., Made], *given: Any, **named: Any) -> Made:
@@ -248,18 +258,21 @@ def _bases(table: Table) -> list[tuple[str, np.ndarray]]:
     ]
 
 
-def _collision(table: Table, folder: Path) -> tuple[Scene | None, dict[str, float]]:
-    """The scene, and the fields of `PostureOptions`."""
+def _collision(table: Table, folder: Path) -> tuple[Scene | None, tuple[tuple[str, Scene], ...], dict[str, float]]:
+    """The scene, or several that are an axis, and the fields of `PostureOptions`."""
     row = table.table("collision")
-    row.asked.add("scene")
+    row.asked.update(("scene", "scenes"))
     scene = row.content.get("scene")
     if scene is not None and not isinstance(scene, Scene):
         scene = load_scene(_file(folder, row.text("scene")))
+    around = read_around(row, "motions" in table.content, lambda name: load_scene(_file(folder, name)))
+    if len(around) == 1:
+        scene, around = around[0][1], ()
     units = {name: "length" if field.unit == "m" else "plain" for name, field in fields(PostureOptions).items()}
     number = lambda name: float(row.finite(name, (), unit=units[name], default=getattr(PostureOptions, name)))
     wanted = {name: number(name) for name in units}
     _made(row, "change it", PostureOptions, **wanted)
-    return scene, wanted
+    return scene, around, wanted
 
 
 def _ik(table: Table, targets: Targets, margin: float | None) -> IKOptions:

@@ -44,6 +44,7 @@ def reflect(
     check_finite("reflect", 1e-9, length=length)
     contact = as_point_forces("reflect", contact)
     check_joint("reflect", robot, contact.joint)
+    robot.only_tip("reflect")
     return _reflected(robot, felt, length, q, contact)
 
 

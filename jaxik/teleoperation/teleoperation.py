@@ -142,6 +142,7 @@ class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
     buttons: int = count(default=1, words="how many it is given; one that a device does not have is not pressed")
 
     def check(self) -> None:
+        self.robot.only_tip("teleoperation")
         check_collision("teleoperation", self.collision, self.scene, self.margin)
         for name, kinds in (("mapping", "PositionControl"), ("channel", "WaveVariables")):
             given = getattr(self, name)

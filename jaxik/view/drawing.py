@@ -14,7 +14,7 @@ from jaxik.kinematics.robot import Robot, known_parts
 from jaxik.spatial.rotations import to_wxyz
 from jaxik.view.palette import BAD, CHOSEN, FRUIT, INK, LEAF, LEFT_OUT, NEAR_LIMIT, OBSTACLE, ROBOT, VOLUME, rgb
 from jaxik.view.panels import left_out
-from jaxik.view.solids import Solid, box_solids, scene_points, scene_solids, volume_solids
+from jaxik.view.solids import Solid, bones, box_solids, scene_points, scene_solids, volume_solids
 
 MANY = 500  # solids, from which on each is drawn more coarsely
 THIN = 0.002  # [m] by which what is hit is drawn larger; triangles that are no thicker are drawn as sheets
@@ -88,10 +88,10 @@ class RobotDrawing:
         self.bones = scene.add_line_segments("/robot/bones", none, rgb(INK), thickness=0.008, thickness_units="world")
 
     def place(self, placed: np.ndarray) -> None:
-        """Each link in its frame; `placed` (n + 2, 4, 4) are those of the base, the joints and the tip."""
-        line, turned = placed[1:, :3, 3], to_wxyz(placed[:, :3, :3])
-        self.bones.points = np.stack([line[:-1], line[1:]], axis=1)
-        self.tip.wxyz, self.tip.position = turned[-1], line[-1]
+        """Each link in its frame; `placed` (m + 1 + k, 4, 4) are those of the base, the joints and the tips."""
+        turned = to_wxyz(placed[:, :3, :3])
+        self.bones.points = bones(self.robot, placed)
+        self.tip.wxyz, self.tip.position = turned[-1], placed[-1, :3, 3]
         for link, part in self.parts:
             joint = self.robot.link_joint[link]
             if self.roots[_kind(part)].visible:  # the other ones, when they are shown

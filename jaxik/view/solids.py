@@ -100,10 +100,18 @@ def box_solids(robot: Robot) -> list[tuple[int, Solid]]:
 
 
 def frames(robot: Robot, q: Any) -> np.ndarray:
-    """The frames (n + 2, 4, 4) of the base, of each joint and of the tip in the world, at `q` (n,) [rad, m]."""
+    """The frames (m + 1 + k, 4, 4) of the base, of each joint and of the tips in the world, at `q` (n,) [rad, m]."""
     root = Frame.of(robot.world_T_base)
     found = joint_frames(robot, [float(x) for x in q], root)
-    return np.array([[float(x) for x in frame.entries] for frame in (root, *found.joints, found.tip)]).reshape(-1, 4, 4)
+    return np.array([[float(x) for x in frame.entries] for frame in (root, *found.joints, *found.tips)]).reshape(-1, 4, 4)
+
+
+def bones(robot: Robot, placed: np.ndarray) -> np.ndarray:
+    """The lines (k, 2, 3) [m] from each joint to those that hang on it, and on to the tips, of its `frames`."""
+    parents, origins = robot.tree.parents, placed[:, :3, 3]
+    ends = [(parent + 1, row + 1) for row, parent in enumerate(parents) if parent >= 0]
+    ends += [(number, len(parents) + 1 + tip) for tip, number in enumerate(robot.tips)]
+    return origins[np.array(ends)]
 
 
 def _placed(points: np.ndarray, frame: Any) -> np.ndarray:

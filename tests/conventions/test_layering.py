@@ -16,6 +16,8 @@ import jaxik
 
 FLOORS = [  # what the house is made of, from the ground up
     "version",
+    "sources",
+    "garbage",
     "spmd",  # the compiler of kernels knows no robot
     "reasons",
     "pytree",
@@ -108,6 +110,13 @@ INSIDE = {  # what reaches inside, and why there is no public way: it measures a
     ("batch_eval/mesh_benchmark.py", "jaxik.collision.bvh.grouped"): "what grouping a scene takes",
     ("batch_eval/papers/ilqr.py", "jaxik.optimise.ocp"): "the problem that two solvers share",
     ("batch_eval/peppers.py", "jaxik.collision.continuous_collision.joint_reaches"): "samples like a peer's",
+    (
+        "batch_eval/peers/motion_judges.py",
+        "jaxik.collision.continuous_collision.joint_reaches",
+    ): "samples like a peer's",
+    ("batch_eval/peers/planner_peers.py", "jaxik.planning.collision_checker"): "the time of each kernel by itself",
+    ("batch_eval/peers/planner_peers.py", "jaxik.planning.shortcuts"): "the time of each kernel by itself",
+    ("batch_eval/peers/planner_peers.py", "jaxik.planning.tree_search"): "the time of each kernel by itself",
     (
         "batch_eval/planning_benchmark.py",
         "jaxik.collision.continuous_collision.joint_reaches",

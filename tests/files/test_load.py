@@ -55,6 +55,7 @@ points = [[0.1, 0.7, 0.5]]
 name = "fruit_1"
 position = [0.1, 0.7, 0.4]
 """
+BENT = 'polycoef="0 1 0.2 0 0"'
 FILES = {"arm.urdf": URDF, "arm.toml": TOML, "arm.xml": MJCF}
 
 
@@ -82,7 +83,7 @@ EXTERNAL = '<!DOCTYPE robot [<!ENTITY x SYSTEM "file:///etc/hostname">]>'
         ('link name="tool"', 'link name="upper"', ("link 'upper'", "twice")),
         ('type="continuous"', 'type="floating"', ("joint 'wrist'", "floating", "allowed: revolute")),
         ('type="continuous"', 'type="planar"', ("joint 'wrist'", "not supported")),
-        ('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="shoulder"/>', ("joint 'wrist'", "mimic")),
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="elbow"/>', ("joint 'wrist'", "mimic", "shoulder, wrist")),
         ('<parent link="base"/>', '<parent link="nowhere"/>', ("joint 'shoulder'", "'nowhere' is not defined")),
         ('<parent link="base"/>', "", ("shoulder", "<parent>", "missing")),
         ('<child link="upper"/>', '<child link="tool"/>', ("two parent",)),
@@ -222,7 +223,11 @@ def test_toml_refusals(tmp_path, old, new, words):
     [
         ('axis="0 0 1"', 'axis="0 0 0"', ("MuJoCo refuses",)),
         ('type="slide"', 'type="ball"', ("joint 'wrist'", "ball")),
-        ("</worldbody>", '</worldbody><equality><joint joint1="wrist" joint2="shoulder"/></equality>', ("'wrist'", "mimic")),
+        (
+            "</worldbody>",
+            f'</worldbody><equality><joint joint1="wrist" joint2="shoulder" {BENT}/></equality>',
+            ("'wrist'", "mimic"),
+        ),
         ('geom size=".1"', 'geom type="mesh" mesh="m"', ("MuJoCo refuses",)),
         ("<worldbody>", '<compiler texturedir="/etc"/><worldbody>', ("texturedir", "outside")),
         ("<worldbody>", '<asset><hfield name="m" file="../../m.png"/></asset><worldbody>', ("hfield", "outside")),

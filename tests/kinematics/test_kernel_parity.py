@@ -27,6 +27,17 @@ pytestmark = pytest.mark.usefixtures("only_kernels")
 ARM, PLANAR, GANTRY = jaxik.load("pendulum4"), jaxik.load("planar2"), jaxik.load("p6r")
 BODY = [2.0, 0.6, 0.1, -0.2, 0.3, 0.02, 0.5, 0.04, 0.01, 0.6]
 HEAVY = PLANAR.with_parameters(2 * BODY)
+FORK = dataclasses.replace(  # two branches, of two tips, the second of which also has what follows the first joint
+    ARM,
+    joint_names=ARM.joint_names[:3],
+    joint_types=ARM.joint_types[:3],
+    **{name: getattr(ARM, name)[:3] for name in ("lower", "upper", "velocity", "effort", "armature")},
+    mimics=(jaxik.kinematics.Mimic("follower", ARM.joint_types[3], 0, np.array(-1.5), np.array(0.2)),),
+    parents=(-1, 0, 0, 2),
+    joint_T_tip=np.stack([ARM.joint_T_tip] * 2),
+    tip_joints=(2, 4),
+    tip_names=("left", "right"),
+)
 DRIVEN = jaxik.load("crops_v2").part(1, 3)
 SCENE = jaxik.make_scene(
     points=[[1.2, 0.9, 0.1], [-0.6, 1.5, 0.0]], point_radius=0.02, capsules=[[2.5, 0.0, -1.0, 2.5, 0.0, 1.0, 0.1]]
@@ -90,6 +101,15 @@ FUNCTIONS = {
     "forward_kinematics of traced links": (_longer, lambda u: (2.0 * u[:2], 0.1 * u[2:5])),
     "link_frames": (lambda q: jaxik.kinematics.link_frames(ARM, q), ANGLES(4)),
     "jacobian": (lambda q: jaxik.jacobian(ARM, q), ANGLES(4)),
+    "forward_kinematics of a tree": (lambda q: jaxik.forward_kinematics(FORK, q), ANGLES(3)),
+    "jacobian of a tree": (lambda q: jaxik.jacobian(FORK, q), ANGLES(3)),
+    "relative_jacobian": (lambda q: jaxik.kinematics.relative_jacobian(FORK, q, "left", "right"), ANGLES(3)),
+    "point_jacobian of a tree": (
+        lambda *u: jaxik.dynamics.point_jacobian(FORK, u[0], 4, u[1]),
+        lambda u: (2.0 * u[:3], u[3:6]),
+    ),
+    "centre_of_mass": (lambda q: jaxik.dynamics.centre_of_mass(HEAVY, q), ANGLES(2)),
+    "centre_of_mass_jacobian": (lambda q: jaxik.dynamics.centre_of_mass_jacobian(HEAVY, q), ANGLES(2)),
     "bias_acceleration": (lambda q, v: jaxik.kinematics.bias_acceleration(ARM, q, v), lambda u: (2.0 * u[:4], u[4:8])),
     "material_point": (lambda *u: jaxik.dynamics.material_point(PLANAR, u[0], 1, u[1]), lambda u: (2.0 * u[:2], u[2:5])),
     "point_jacobian": (lambda *u: jaxik.dynamics.point_jacobian(PLANAR, u[0], 2, u[1]), lambda u: (2.0 * u[:2], u[2:5])),

@@ -108,8 +108,30 @@ def test_a_batch_tells_which_has_no_way(two):
     assert moved.reason.tolist() == [Reason.NO_WAY, Reason.SOLVED, Reason.SOLVED]
     assert moved.counts() == {"solved": 2, "no way": 1} and moved.why[0].startswith("no way; after ")
     assert moved[0].offenders and moved[0].gap > 0.0 and np.isnan(moved[1].gap)
+    np.testing.assert_array_equal(moved.gap, [each.gap for each in moved])
+    assert plan_motion(robot, np.zeros((0, 2)), np.zeros((0, 2))).gap.shape == (0,)
     late = plan_motion(robot, [0.0, 0.0], [2.45, 0.0], scene=wall, timeout=0.0)
     assert late.reason == Reason.NOT_CONVERGED
+
+
+def test_none_is_proven_of_some_postures_or_of_one_way_out(two):
+    """The soonest posture of a place is beyond the ball, the other one is not; a start in the ball is led to either side."""
+    robot, coal = two
+    scene = jaxik.make_scene(spheres=[[0.36, 0.0, 0.0, 0.041]])
+    start, beyond, beside = np.array([-0.35, -1.9]), np.array([0.85, -1.6]), np.array([-0.75, 1.6])
+    if np.isinf(robot.lower[0]):  # it goes around the back
+        assert plan_motion(robot, start, beyond, scene=scene).success
+        return
+    tip = np.array([0.6 * np.cos(0.8) * np.cos(0.05), 0.6 * np.cos(0.8) * np.sin(0.05), 0.0])
+    asked = {"scene": scene, "task": jaxik.Task.position(), "rounds": 2000}
+    assert plan_motion(robot, start, beyond, scene=scene, rounds=2000).reason == Reason.NO_WAY
+    found = [plan_motion(robot, start, jaxik.pose(tip), postures=count, **asked) for count in (1, 2)]
+    assert found[0].reason == Reason.NOT_CONVERGED and found[1].success
+    np.testing.assert_allclose(found[1].waypoints[-1], beside, atol=1e-4)
+    wide = jaxik.make_scene(spheres=[[0.36, 0.0, 0.0, 0.05]])
+    led = [plan_motion(robot, [at, 0.0], [1.2, 0.0], scene=wide, rounds=2000, escape=True) for at in (-0.1, 0.1)]
+    assert coal.clearance(wide, np.array([[-0.1, 0.0], [0.1, 0.0]])).max() < 0.0
+    assert [each.reason for each in led] == [Reason.NOT_CONVERGED, Reason.SOLVED]
 
 
 def test_the_first_joints_of_an_arm_tell(two, tmp_path):

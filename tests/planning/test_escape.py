@@ -78,6 +78,32 @@ def test_out_of_itself_and_back_inside_the_limits(arm):
     assert np.abs(both.waypoints[1:, 2]).max() <= 3.0 and _rises(both, coal, BOX, 0.0)
 
 
+def test_the_way_out_may_end_at_the_goal_and_does_not_begin_anywhere(arm):
+    """A joint that is to go back to its limit, one that is beyond it and free, and numbers that are no angles."""
+    robot, _ = arm
+    starts = [[3.0, 0.5, 0.0], [3.0, 0.5, 0.0], [1e5, 0.5, 0.0], [1e30, 0.5, 0.0]]
+    goals = [[2.8, 0.5, 0.0], GOAL, GOAL, GOAL]
+    moved = plan_motion(robot, starts, goals, escape=True)
+    assert moved.success.tolist() == [True, True, False, False] and moved.escaped.tolist() == [1, 1, 0, 0]
+    np.testing.assert_array_equal(moved.waypoints[0], [starts[0], goals[0]])
+    assert moved.trajectory[0].duration == pytest.approx(
+        jaxik.planning.time_path(moved.waypoints[0], robot=robot).duration, rel=1e-3
+    )
+    assert moved.why[2].startswith("start: limits; one is 99997.200 rad beyond") and moved.why[2].endswith(
+        "no way out was found"
+    )
+
+
+def test_a_joint_that_moves_nothing_is_led_back(tmp_path):
+    """A ball that turns about its own middle."""
+    ball = '<link name="a"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>'
+    joint = '<joint name="one" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/>{}</joint>'
+    limit = '<limit lower="-1" upper="1" effort="1" velocity="2"/>'
+    (tmp_path / "ball.urdf").write_text(f'<robot name="ball"><link name="base"/>{ball}{joint.format(limit)}</robot>')
+    moved = plan_motion(jaxik.load(tmp_path / "ball.urdf"), [1.5], [0.0], escape=True)
+    assert moved.success and moved.escaped == 1 and moved.waypoints.tolist() == [[1.5], [1.0], [0.0]]
+
+
 def test_a_free_start_needs_no_escape_and_a_batch_is_as_each_alone(arm):
     robot, _ = arm
     starts = [[0.0, 0.0, 0.0], [-0.6, 0.2, 0.1], [3.0, 0.0, 0.0], [np.nan, 0.0, 0.0]]

@@ -107,6 +107,27 @@ def test_the_given_ends_stand_in_the_way_to_the_last_bit(arm):
         np.testing.assert_array_equal(moved.waypoints[0], start)
 
 
+def test_why_names_all_failures_of_a_batch_as_of_one(arm):
+    """The deepest contacts are those of coal; refused and sought in vain, in one scene and in two."""
+    robot, coal = arm
+    q = np.random.default_rng(3).uniform(-1.5, 1.5, (2000, 3))
+    apart = coal.clearance(POLES, q)
+    hit = q[(apart < -0.002) & (apart > -0.04)][:120]
+    many = plan_motion(robot, hit, GOAL, scene=POLES)
+    assert len(hit) == 120 and set(many.where) == {"start"}
+    deepest = [each[0].distance for each in many.offenders]
+    np.testing.assert_allclose(deepest, coal.clearance(POLES, hit), atol=1e-5)
+    starts = np.concatenate([hit[:60], np.tile(START, (6, 1)), [[9.0, 0.0, 0.0], START]])
+    goals = np.concatenate([np.tile(GOAL, (67, 1)), [[np.nan] * 3]])
+    beside = jaxik.make_scene(boxes=[[0.65, 0.0, 0.0, 0.3, 0.05, 0.5]], spheres=[[-0.5, 0.5, 0.0, 0.1]])
+    for scene in (POLES, [POLES, beside] * 34):
+        some = plan_motion(robot, starts, goals, scene=scene, rounds=1, margin=0.001)
+        assert len(some.counts()) == 4 and sum(": " not in why for why in some.why) >= 6
+        for i in (0, 1, 40, 61, 62, 66, 67):
+            one = some[i]
+            assert str(one.why) == some.why[i] and [*map(str, one.offenders)] == [*map(str, some.offenders[i])]
+
+
 def test_why_names_the_start_and_the_goal_by_explain(arm):
     robot, _ = arm
     hit = np.zeros(3)

@@ -89,7 +89,7 @@ def test_the_warp_is_the_optimum():
     linear, within = np.stack([second, 0.5 * first]) / 7.0, np.ones((2, 1, 31))
     weights = np.full(31, step)
     weights[[0, -1]] *= 0.5
-    b = fastest_warp(Known(step, first, second, third, velocity, jerk, linear, within))
+    (b,) = fastest_warp([Known(step, first, second, third, velocity, jerk, linear, within)], [None])
 
     def room(b):
         change, bend = np.gradient(b, step), np.zeros_like(b)
@@ -136,6 +136,22 @@ def test_a_stack_is_as_its_rows_are():
     every = jax.vmap(lambda one: jax.vmap(one.at)(soon.time))(moved)
     for own, other in zip(every.state, soon.state, strict=True):
         assert np.allclose(own[0], other, atol=1e-3)
+
+
+def test_more_joints_than_a_team_has_lanes_for_at_once():
+    """Nine joints have eighteen limits at a moment; each of a stack with other numbers of moments is as it is alone."""
+    rng = np.random.default_rng(4)
+    limits = {"velocity": 1.0, "acceleration": 3.0, "jerk": 40.0}
+    paths = [JointPath.spline(rng.uniform(-1.0, 1.0, (5, 9))) for _ in range(2)]
+    stack = jax.tree_util.tree_map(lambda *x: np.stack(x), *paths)
+    for places in (100, 400):
+        many = time_path(stack, places=places, **limits)
+        for path, moved in zip(paths, many, strict=True):
+            alone = time_path(path, places=places, **limits)
+            np.testing.assert_array_equal(moved.time, alone.time)
+            assert (_shares(moved, {name: np.full(9, most) for name, most in limits.items()}) <= 1.0 + 1e-4).all()
+            free = time_path(path, velocity=1.0, acceleration=3.0)
+            assert free.duration < moved.duration < 1.6 * free.duration
 
 
 def test_what_does_not_move_and_a_stop_where_the_bend_jumps():
@@ -193,6 +209,7 @@ def test_planned_motions_keep_the_jerk_and_stay_free(arm, tmp_path):
     limits = {"velocity": VELOCITY, "acceleration": 4.0 * VELOCITY}
     many = plan_motion(robot, starts, goals, scene=POLES, jerk=LIMITS["jerk"], **limits)
     assert many.success.all() and (many.rounds > 0).any()
+    assert len({len(moved.trajectory.path.lengths) for moved in many}) > 1  # not all in one stack
     reach = joint_reaches(robot)
     for i, moved in enumerate(many):
         alone = plan_motion(robot, starts[i], goals[i], scene=POLES, jerk=LIMITS["jerk"], **limits)
@@ -214,11 +231,30 @@ def test_planned_motions_keep_the_jerk_and_stay_free(arm, tmp_path):
     assert (jerk <= LIMITS["jerk"] * (1.0 + 1e-6)).all()
 
 
+def test_of_several_goals_the_one_is_taken_that_is_soonest_within_the_jerk(arm):
+    """Ruckig tells which; without a limit of the jerk it is another one. Poses are compared, too."""
+    robot, _ = arm
+    limits = {"velocity": VELOCITY, "acceleration": 4.0 * VELOCITY}
+    jerk = np.array([1.0, 200.0, 200.0])
+    start, goals = np.zeros(3), np.array([[0.3, 0.0, 0.0], [0.0, 0.9, 0.0], [0.0, 0.0, 0.5]])
+    times = [_by_ruckig(start, goal, *limits.values(), jerk).duration for goal in goals]
+    assert int(np.argmin(times)) == 1
+    poses = np.array([jaxik.forward_kinematics(robot, goal) for goal in goals])
+    for begin, asked in ((start, goals), (start, poses[None]), ([start] * 2, [goals, goals[::-1]])):
+        within, free = (plan_motion(robot, begin, asked, jerk=most, **limits) for most in (jerk, None))
+        assert np.all(np.atleast_1d(within.goal) == 1) and np.atleast_1d(free.goal)[0] == 0
+    alone = plan_motion(robot, start, goals, jerk=jerk, **limits)
+    assert alone.trajectory.duration == pytest.approx(min(times), rel=1e-6)
+
+
 def test_mistakes_are_named(arm):
     robot, _ = arm
     path = _splines(1)[0]
     with pytest.raises(ValueError, match=r"time_path: jerk is -1.0; allowed: one number or \(3,\).*, above zero \[rad/s3"):
         time_path(path, velocity=1.0, acceleration=1.0, jerk=-1.0)
+    for places in (-3, 0.5, "many"):
+        with pytest.raises(ValueError, match=f"time_path: places is {places}; allowed: a count"):
+            time_path(path, velocity=1.0, acceleration=1.0, jerk=1.0, places=places)
     with pytest.raises(ValueError, match="time_path: power and jerk are not limited together"):
         time_path(path, velocity=1.0, acceleration=1.0, jerk=1.0, power=3.0, robot=robot)
     with pytest.raises(ValueError, match=r"plan_motion: jerk .*allowed: one number or \(3,\)"):

@@ -14,6 +14,7 @@ from jaxik.planning import build_roadmap, load_roadmap, plan_motion, save_roadma
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.roadmap import _proven
 from jaxik.planning.roadmap_reach import bodies
+from jaxik.reasons import Reason
 
 POLES = jaxik.make_scene(boxes=[[0.65, 0.0, 0.0, 0.3, 0.05, 0.5], [-0.5, 0.5, 0.0, 0.1, 0.3, 0.5]])
 STATIONS = np.array([[-0.6, 0.2, 0.1], [0.9, -0.3, 0.2], [0.5, 0.3, 3.0], [0.5, 0.3, -3.0]])
@@ -209,6 +210,9 @@ def test_a_plan_is_timed_and_free(arm, roadmap):
     assert length(moved.waypoints) <= length(roadmap.way(START, GOAL).waypoints)
     slower = roadmap.plan(START, GOAL, velocity=1.0)
     assert slower.trajectory.duration > moved.trajectory.duration
+    alone = jaxik.plan_motion(roadmap._space.robot, START, GOAL, scene=POLES)
+    assert moved.least_duration == alone.least_duration < moved.trajectory.duration
+    assert np.isnan(roadmap.way(START, GOAL).least_duration)
     still = roadmap.plan(START, START)
     assert still and still.trajectory.duration == 0.0
 
@@ -276,6 +280,23 @@ def test_what_the_roadmap_does_not_know_may_be_searched_for(arm):
     found = few.plan(START, GOAL, rounds=5000)
     assert found and found.rounds > 0
     assert judge.clearance(POLES, found.trajectory.sample(0.0005).q).min() > -1e-5
+
+
+def test_a_search_of_a_batch_finds_one_way_and_not_another(arm):
+    """One goal is beside a pole, the other behind a wall; coal finds all ends free."""
+    robot, judge = arm
+    scene = jaxik.make_scene(boxes=[[0.6, 0.0, 0.0, 1.0, 0.05, 0.5], [-0.25, -0.6, 0.0, 0.1, 0.1, 0.5]])
+    start, goals = np.array([-0.9, 0.2, 0.1]), np.array([[-2.6, -0.2, 0.1], [0.9, -0.3, 0.2]])
+    assert judge.clearance(scene, np.array([start, *goals])).min() > 0.0
+    few = build_roadmap(robot, scene=scene, nodes=4, neighbours=1, seed=1)
+    found = few.way([start, start], goals, rounds=2000)
+    assert found.success.tolist() == [True, False] and found.rounds.min() > 0 and found.reason[1] == Reason.NOT_CONVERGED
+    assert np.isnan(found.gap[0]) and found.gap[1] > 0.0 and np.isfinite(found.stuck[1]).all()
+    for each, goal in zip(found, goals, strict=True):
+        alone = few.way(start, goal, rounds=2000)
+        assert (alone.why, alone.rounds) == (each.why, each.rounds)
+        np.testing.assert_array_equal(alone.gap, each.gap)
+        np.testing.assert_array_equal(alone.waypoints, each.waypoints)
 
 
 def roadmap_says(roadmap, start, goal):

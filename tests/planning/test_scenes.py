@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.planning import plan_motion
+from jaxik.planning import optimise_trajectory, plan_motion
 from jaxik.planning.collision_checker import CollisionChecker
 
 START, GOAL = np.array([-0.6, 0.2, 0.1]), np.array([0.9, -0.3, 0.2])
@@ -76,6 +76,26 @@ def test_poses_in_scenes(arm):
     many = plan_motion(robot, START, pose, scene=some)
     for moved, scene in zip(many, some, strict=True):
         np.testing.assert_array_equal(moved.waypoints, plan_motion(robot, START, pose, scene=scene).waypoints)
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"duration": 2.0}, {"duration": 2.0, "collision": "penalty", "collision_weight": 100.0}]
+)
+def test_optimal_motions_in_scenes(arm, changes):
+    """Each is as it is alone, to a configuration and to a pose."""
+    robot, coal = arm
+    some = [scenes()[i] for i in (0, 1, 4, 6)]
+    for goal in (GOAL, np.asarray(jaxik.forward_kinematics(robot, GOAL))):
+        many = optimise_trajectory(robot, START, goal, scene=some, spans=16, seed=2, **changes)
+        assert len(many) == 4 and many.where[3] == ("start" if "collision" not in changes else "")
+        for moved, scene in zip(many, some, strict=True):
+            alone = optimise_trajectory(robot, START, goal, scene=scene, spans=16, seed=2, **changes)
+            assert (moved.reason, moved.where) == (alone.reason, alone.where)
+            np.testing.assert_array_equal(moved.trajectory.time, alone.trajectory.time)
+            if alone:
+                assert moved.cost == alone.cost and coal.clearance(scene, moved.trajectory.sample(0.002).q).min() > -1e-5
+    with pytest.raises(ValueError, match="optimise_trajectory: 2 scenes for 3 problems"):
+        optimise_trajectory(robot, [START] * 3, GOAL, scene=some[:2], **changes)
 
 
 @pytest.mark.parametrize(

@@ -87,7 +87,7 @@ def test_the_shortest_chain_is_a_program_of_xla_too(arm):
     """Traced alone: what XLA compiles in half a minute."""
     robot, _ = arm
     space, blocks = CollisionChecker(robot, POLES, 0.0), (shortcuts.BLOCKS, 16)
-    rows = np.zeros((2, 3, *blocks), np.float32), np.zeros((2, 128, *blocks), np.int8), np.full((2, 3), 5, np.int32)
+    rows = np.zeros((2, 4, *blocks), np.float32), np.zeros((2, 128, *blocks), np.int8), np.full((2, 3), 5, np.int32)
     given = *rows, np.full((2, 2), 0.05, np.float32), space.world.around, space.world.body, np.ones(3, np.float32)
     with jax.enable_x64(False):
         _, _, before, lines, length, looked = jax.eval_shape(shortcuts.shortest(robot, False).by_xla, *given)

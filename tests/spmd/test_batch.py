@@ -6,6 +6,36 @@ import sys
 
 import pytest
 
+WHILE_MADE = """
+import gc, os, signal, threading
+import jax.numpy as jnp
+import numpy as np
+from jaxik.spmd import HostKernel, host
+
+x, trace, begun, go_on = np.ones((3, 2)), host.trace, threading.Event(), threading.Event()
+
+def slowly(*args):
+    begun.set()
+    go_on.wait()
+    return trace(*args)
+
+host.trace = slowly
+kernel = HostKernel(lambda x: x * 5.0, 1)
+maker = threading.Thread(target=lambda: kernel.run(x))
+maker.start()
+begun.wait()
+child = os.fork()
+go_on.set()
+if child == 0:
+    signal.alarm(20)
+    os._exit(0 if gc.isenabled() and (kernel.run(x)[0] == 5.0).all() else 1)
+status = os.waitpid(child, 0)[1]
+maker.join()
+assert (kernel.run(x)[0] == 5.0).all()
+print("child", os.waitstatus_to_exitcode(status))
+"""
+
+
 FORKED = """
 import os, signal, threading
 import numpy as np
@@ -34,7 +64,8 @@ print("child", os.waitstatus_to_exitcode(status))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
-def test_threads_live_in_a_fork():
+@pytest.mark.parametrize("code", [FORKED, WHILE_MADE])
+def test_threads_live_in_a_fork(code):
     """The fork of a process whose threads have run, with work under way, begins its own anew. JAX's do not, and it warns."""
-    found = subprocess.run([sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=120)
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert found.stdout == "child 0\n", (found.stdout, found.stderr)

@@ -1,7 +1,9 @@
 """A kernel on NumPy arrays, without XLA: whatever arrays a driver has."""
 
+import gc
 import threading
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +12,8 @@ import pytest
 from jax import lax
 
 from jaxik import spmd
+from jaxik.garbage import uncollected
+from jaxik.spmd import batch, host
 
 RNG = np.random.default_rng(0)
 X, Y = RNG.normal(size=(2, 37, 3)).astype(np.float32)
@@ -151,3 +155,55 @@ def test_repeated_calls_are_what_run_gives():
     np.testing.assert_array_equal(first, KERNEL.run(X, N, TABLE)[0])
     np.testing.assert_array_equal(again(-X, N, 2.0 * TABLE)[0], KERNEL.run(-X, N, 2.0 * TABLE)[0])
     np.testing.assert_array_equal(first, KERNEL.run(X, N, TABLE)[0])  # and is nobody else's memory
+
+
+def test_threads_that_ask_at_once_make_a_kernel_once(monkeypatch):
+    trace, traces, together = host.trace, [], threading.Barrier(4)
+    monkeypatch.setattr(host, "trace", lambda *args: (traces.append(args), trace(*args))[1])
+    kernel = spmd.HostKernel(lambda x: jnp.tanh(x) * 3.0, 1)
+
+    def ask():
+        together.wait()
+        return kernel.run(X)[0]
+
+    with ThreadPoolExecutor(4) as pool:
+        found = [task.result() for task in [pool.submit(ask) for _ in range(4)]]
+    assert len(traces) == 1
+    for each in found:
+        np.testing.assert_allclose(each, 3.0 * np.tanh(X), rtol=1e-5)
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_another_thread_asks_ahead_once_where_there_is_a_core(cores, monkeypatch):
+    monkeypatch.setattr(batch, "cores", lambda: cores)
+    kernel, asked = spmd.HostKernel(lambda x: jnp.exp(x) * 7.0, 1), threading.Event()
+    batch.ahead(kernel, lambda: (kernel.run(X), asked.set()))
+    assert asked.wait(20.0 if cores > 1 else 0.1) == (cores > 1)
+    kernel.run(X)
+    asked.clear()
+    batch.ahead(kernel, asked.set)  # it is known
+    assert not asked.wait(0.1)
+
+
+def test_a_kernel_that_fails_ahead_fails_where_it_is_needed():
+    kernel = spmd.HostKernel(lambda x: jnp.linalg.svd(x[None])[1], 1)
+    batch.ahead(kernel, lambda: kernel.run(X))
+    with pytest.raises(spmd.Unsupported, match="svd"):
+        kernel.run(X)
+
+
+def test_the_search_for_garbage_goes_on_as_it_was():
+    assert gc.isenabled()
+    with pytest.raises(KeyError), uncollected():
+        with uncollected():
+            assert not gc.isenabled()
+        assert not gc.isenabled()
+        raise KeyError
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        with uncollected():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()

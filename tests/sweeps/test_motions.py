@@ -197,6 +197,19 @@ def test_random_postures_do_not_depend_on_what_is_asked_beside(arm):
     assert not np.isin(ends(slice(0, 2000), seed=1), starts).any()
 
 
+def test_that_there_is_no_way_is_proven_and_named(arm, tmp_path):
+    """A box across the room; coal finds both ends free."""
+    robot, coal = arm
+    wall = jaxik.make_scene(boxes=[[0.6, 0.0, 0.0, 1.0, 0.05, 0.5]])
+    ends = np.array([[-0.9, 0.2, 0.1], [0.9, -0.3, 0.2], [-1.2, 0.2, 0.1]])
+    assert coal.clearance(wall, ends).min() > 0.0
+    study = {"robot": robot, "collision": {"scene": wall}, "motions": {"start": ends[0].tolist(), "rounds": 2000}}
+    data = jaxik.sweep(study | {"targets": {"goals": ends[1:].tolist()}}, tmp_path / "wall.zarr").dataset().load()
+    names = dict(zip(data.reason.attrs["flag_values"], data.reason.attrs["flag_meanings"].split(), strict=True))
+    assert [names[int(reason)] for reason in data.reason.values] == ["no_way", "solved"] and data.proven.values.all()
+    assert data.attrs["reasons"]["no way"] == Reason.NO_WAY and data.reachable.values.tolist() == [False, True]
+
+
 def test_what_more_rounds_would_have_found_is_measured(arm, tmp_path):
     robot, _ = arm
     goals = [[0.9, -0.3, 0.2], [1.2, -0.2, 0.0], [-0.7, 0.3, 0.0]]
@@ -231,9 +244,62 @@ def test_marks_are_reached_among_what_stands_beside_them(arm):
         assert coal.clearance(own, q).min() > -1e-5
 
 
+def test_scenes_are_an_axis(arm, tmp_path):
+    """Each motion is as it is alone in its scene, from a base and a start; random postures are free there."""
+    robot, coal = arm
+    ball = jaxik.make_scene(spheres=[[0.6, 0.1, 0.0, 0.15]])
+    scenes = {"poles": POLES, "ball": ball, "free": jaxik.make_scene()}
+    top = {"robot": robot, "collision": {"scenes": scenes}, "chunk": 7}
+    poses = {"motions": {"start": {"home": HOME, "beside": [1.4, 0.3, 0.0]}}, "base": {"y": [0.0, 0.05]}, "targets": PLACES}
+    done = jaxik.sweep(top | poses, tmp_path / "poses.zarr")
+    assert done.dataset().reason.dims == ("base", "scene", "start", "target")
+    assert list(done.dataset().scene.values) == ["poles", "ball", "free"]
+    found, given = columns(done), done.study.targets.poses_at(np.arange(len(done.study.targets)))
+    for variant in done.study.variants:
+        base_T_world = np.linalg.inv(variant.robot.world_T_base)
+        scene, home = list(scenes.values())[variant.index[1]].moved(base_T_world), variant.robot.mounted(np.eye(4))
+        for i in range(variant.index[1], len(given), 13):
+            known = {name: found[name][(*variant.index, i)] for name in WAY}
+            is_as_planned(known, home, variant.start, base_T_world @ given[i], scene, 0)
+    pairs = top | {"motions": {}, "targets": {"kind": "random", "count": 12}}
+    done = jaxik.sweep(pairs, tmp_path / "pairs.zarr")
+    found = columns(done)
+    for k, scene in enumerate(scenes.values()):
+        mine = {name: found[name][k] for name in (*WAY, "start_q", "goal_q")}
+        assert not scene.object_names or coal.clearance(scene, np.concatenate([mine["start_q"], mine["goal_q"]])).min() > 0.0
+        for i in range(0, 12, 5):
+            is_as_planned({n: mine[n][i] for n in WAY}, robot, mine["start_q"][i], mine["goal_q"][i], scene, 0)
+    again = pairs | {"collision": {"scenes": scenes | {"ball": POLES}}}
+    with pytest.raises(StoreError, match=r"around\.ball was"):
+        jaxik.sweep(again, tmp_path / "pairs.zarr")
+    number = len(done.study.variants) * done.study.chunks - 1
+    variant, _, rows = done.study.work(number)
+    _, piece = _on_worker(number, *pickle.loads(pickle.dumps(_piece(done.study, number))))
+    np.testing.assert_array_equal(piece["q"], found["q"][(*variant.index, rows)])
+
+
+def test_scenes_of_files_have_their_names(arm, tmp_path):
+    for name in ("left", "right"):
+        (tmp_path / f"{name}.toml").write_text('name = "cell"\n[[object]]\nname = "b"\nspheres = [[0.5, 0, 0, 0.1]]\n')
+    (tmp_path / "flat.urdf").write_text(URDF)
+    top = 'robot = {file = "flat.urdf", tip = "tip"}\n[motions]\n[targets]\nkind = "random"\n[collision]\n'
+    for given, labels in (
+        ('scenes = ["left.toml", "right.toml"]', ("scene 1", "scene 2")),
+        ('scenes = {a = "left.toml", b = "right.toml"}', ("a", "b")),
+        ('scenes = ["left.toml"]', None),
+    ):
+        (tmp_path / "study.toml").write_text(top + given + "\n")
+        study = jaxik.sweeps.Study.of(tmp_path / "study.toml")
+        assert dict(study.axes).get("scene") == labels and study.scene_of(study.variants[-1]).object_names == ("b",)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
+        ({"collision": {"scenes": [POLES, POLES]}}, "scenes are an axis of motions; write [motions]"),
+        ({"motions": {"start": HOME}, "collision": {"scenes": []}}, "scenes is no list or table of scenes"),
+        ({"motions": {"start": HOME}, "collision": {"scenes": [1.0]}}, "scenes is no list or table of scenes"),
+        ({"motions": {"start": HOME}, "collision": {"scene": POLES, "scenes": [POLES]}}, "keep one"),
         ({"motions": {}}, "motions: no start; write start ="),
         ({"motions": {"start": [0.0, 1.0]}}, "start 1 has 2 numbers; flat has 3: one, two, three"),
         ({"motions": {"start": [0.0, 3.0, 0.0]}}, "start 1 is 0.2 rad or m beyond a joint's limit"),

@@ -42,15 +42,17 @@ def _platform_index(s: Scalariser, eqn: Any) -> Array:
     return s.known(np.int32(index))
 
 
-def _weight(jaxpr: Any) -> int:
-    """How many scalar operations a jaxpr is, roughly; more than any limit with a loop in it."""
+def _weight(jaxpr: Any, most: int) -> int:
+    """How many scalar operations a jaxpr is, roughly, or some number above `most`; more than any limit with a loop in it."""
     total = 0
     for eqn in jaxpr.eqns:
         if eqn.primitive.name in ("scan", "while"):
             return MOST
-        total += sum(int(np.prod(v.aval.shape)) for v in eqn.outvars)
+        total += sum(math.prod(v.aval.shape) for v in eqn.outvars)
         times = math.prod(eqn.params["batch"]) if eqn.primitive.name == "spmd_kernel" else 1
-        total += times * sum(_weight(body) for body, *_ in bodies(eqn))
+        total += times * sum(_weight(body, most) for body, *_ in bodies(eqn))
+        if total > most:
+            break
     return total
 
 
@@ -76,7 +78,7 @@ def _cond(s: Scalariser, eqn: Any, which: Array, *args: Array) -> list[Array]:
         else:
             last = p.op("ge", "i1", index, p.number(numbers[half], p.ops[index].type))
         yes, no = lambda: chosen(numbers[half:]), lambda: chosen(numbers[:half])
-        if sum(_weight(branches[k].jaxpr) for k in numbers) <= FLAT:
+        if sum(_weight(branches[k].jaxpr, FLAT) for k in numbers) <= FLAT:
             return [p.op("select", p.ops[a].type, last, a, b) for a, b in zip(yes(), no(), strict=True)]
         return p.branch(last, yes, no)
 
@@ -222,7 +224,7 @@ def _scan(s: Scalariser, eqn: Any, *args: Array) -> list[Array]:
     consts, init, xs = args[:k], args[k : k + m], args[k + m :]
     outputs = eqn.outvars[m:]
     order = range(length)[::-1] if params["reverse"] else range(length)
-    if length * _weight(body.jaxpr) <= UNROLLED or length <= 1:
+    if length * _weight(body.jaxpr, UNROLLED) <= UNROLLED or length <= 1:
         carry: list[Array] = list(init)
         rows: list[Any] = [None] * length
         for i in order:

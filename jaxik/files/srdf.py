@@ -1,0 +1,88 @@
+"""Groups of joints, their named states and end effectors of an SRDF file [http://wiki.ros.org/srdf]."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element
+
+from jaxik.files.documents import attribute, parse
+from jaxik.kinematics.named import Group, State
+from jaxik.kinematics.robot import Robot
+from jaxik.reasons import LoadError
+
+
+class Semantics(NamedTuple):
+    """The elements of a file: its `groups` by name, its `states`, and the links of its tips (`tips`): of end effectors, and of
+    groups that are a chain."""
+
+    path: Path | None = None
+    groups: Mapping[str, Element] = {}
+    states: Sequence[Element] = ()
+    tips: Mapping[str, str] = {}
+
+    def of(self, robot: Robot, above: Mapping[str, tuple[str, str]]) -> tuple[tuple[Group, ...], tuple[State, ...]]:
+        """The groups and states of a robot's own joints. `above` says of each link of the file which joint leads to it, and
+        from which link."""
+        assert self.path is not None
+        own = lambda names: tuple(name for name in robot.joint_names if name in names)
+        groups = [Group(name, own(self._joints(name, above, ()))) for name in self.groups]
+        return tuple(group for group in groups if group.joints), tuple(self._state(each, robot) for each in self.states)
+
+    def _joints(self, name: str, above: Mapping[str, tuple[str, str]], inside: tuple[str, ...]) -> set[str]:
+        """The joints of a group, and of those in it."""
+        assert self.path is not None
+        where = f"group '{name}'"
+        if name in inside:
+            raise LoadError(self.path, where, "holds itself, by way of others", "remove a group from it")
+        if name not in self.groups:
+            raise LoadError(self.path, f"group '{inside[-1]}'", f"no such group '{name}'", "define it, or take it out")
+        found: set[str] = set()
+        for part in self.groups[name]:
+            if part.tag == "joint":
+                found.add(attribute(self.path, where, part, "name"))
+            elif part.tag == "link":
+                found |= {above[link][0] for link in (attribute(self.path, where, part, "name"),) if link in above}
+            elif part.tag == "group":
+                found |= self._joints(attribute(self.path, where, part, "name"), above, (*inside, name))
+            elif part.tag == "chain":
+                base, link = (attribute(self.path, where, part, key) for key in ("base_link", "tip_link"))
+                while link != base and link in above:
+                    joint, link = above[link]
+                    found.add(joint)
+        return found
+
+    def _state(self, element: Element, robot: Robot) -> State:
+        """A state, of the joints that the robot has."""
+        assert self.path is not None
+        name, group = (attribute(self.path, "<group_state>", element, key) for key in ("name", "group"))
+        where, values = f"group_state '{name}'", {}
+        for part in element.findall("joint"):
+            joint, value = (attribute(self.path, where, part, key) for key in ("name", "value"))
+            if joint not in robot.joint_names:
+                continue
+            try:
+                values[joint] = float(value)
+            except ValueError:
+                values[joint] = math.nan
+            if not math.isfinite(values[joint]):
+                raise LoadError(self.path, where, f"joint '{joint}' has the value '{value[:40]}'", "write one number [rad, m]")
+        return State(name, group, tuple(values.items()))
+
+
+def read_srdf(path: str | Path | None) -> Semantics:
+    """Reads an SRDF; None is one that says nothing."""
+    if path is None:
+        return Semantics()
+    path = Path(path)
+    root = parse(path, "robot")
+    groups = {attribute(path, "a <group>", each, "name"): each for each in root.findall("group")}
+    chains = {name: chain for name, each in groups.items() if (chain := each.find("chain")) is not None and len(each) == 1}
+    tips = {name: attribute(path, f"group '{name}'", chain, "tip_link") for name, chain in chains.items()}
+    tips |= {
+        attribute(path, "an <end_effector>", each, "name"): attribute(path, "<end_effector>", each, "parent_link")
+        for each in root.findall("end_effector")
+    }
+    return Semantics(path, groups, root.findall("group_state"), tips)
