@@ -57,7 +57,7 @@ class Semantics(NamedTuple):
     def _state(self, element: Element, robot: Robot) -> State:
         """A state, of the joints that the robot has."""
         assert self.path is not None
-        name, group = (attribute(self.path, "<group_state>", element, key) for key in ("name", "group"))
+        name, group = attribute(self.path, "<group_state>", element, "name"), element.get("group", "")  # files lack it
         where, values = f"group_state '{name}'", {}
         for part in element.findall("joint"):
             joint, value = (attribute(self.path, where, part, key) for key in ("name", "value"))

@@ -460,6 +460,15 @@ def test_groups_states_and_end_effectors(two):
     assert part.state("home").tolist() == [0.5, -0.3] and part.group("both").tolist() == [0, 1]
 
 
+def test_a_state_of_no_group(two):
+    """As example-robot-data has it of Kinova's arm."""
+    srdf = write(two.parent, "free.srdf", SRDF.replace('name="other" group="right_arm"', 'name="other"'))
+    robot = jaxik.load(two, tip=HANDS, srdf=srdf, held={})
+    assert robot.state("other").tolist() == [0.0, 0.0, 0.0, 0.0, 0.2]
+    jaxik.save(robot, two.parent / "free.toml")
+    assert jaxik.load(two.parent / "free.toml") == robot
+
+
 @pytest.mark.parametrize(
     "old, new, words",
     [
