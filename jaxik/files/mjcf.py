@@ -196,7 +196,7 @@ def _fingers(model: Any, names: list[str]) -> set[str]:
 
 def _below_world(path: Path, model: Any, names: list[str], ways: Ways, moves: str) -> tuple[Ways, np.ndarray]:
     """The ways from the body that stands in the world, which a base is to move, and how it stands where that is at 0: as in its
-    file. Of one that is free in its file a plane keeps height and turn, six joints nothing: they are its pose."""
+    file. Where it is free there, a plane keeps its height and turn, six joints nothing: they are its pose."""
     trunk = names.index(ways.below[0])
     first, count = int(model.body_jntadr[trunk]), int(model.body_jntnum[trunk])
     if any(model.jnt_type[i] != FREE for i in range(first, first + count)):

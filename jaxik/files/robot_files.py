@@ -85,7 +85,9 @@ def _toml(robot: Robot) -> str:
         placed = {"offset": mimic.offset, "frame": robot.parent_T_joint[i], "axis": robot.axis[i]}
         tables.append(("mimic", follows | placed | (hung[i] or {"parent": robot.row_names[i - 1]}) | bodies[i]))
     tables += [("group", {"name": each.name, "joints": list(each.joints)}) for each in robot.groups]
-    tables += [("state", {"name": s.name, "group": s.group, "values": dict(s.values)}) for s in robot.states]
+    tables += [
+        ("state", {"name": s.name} | ({"group": s.group} if s.group else {}) | {"values": dict(s.values)}) for s in robot.states
+    ]
     if not single:
         each_tip = zip(
             robot.tip_names or [f"tip_{i}" for i in range(len(robot.tips))], robot.tips, robot.tip_frames, strict=True
@@ -296,7 +298,8 @@ def _group(table: Table, joints: Sequence[str]) -> Group:
 
 
 def _state(table: Table, joints: Sequence[str]) -> State:
-    name, group, values = table.named(), table.text("group"), table.table("values")
+    name, group = table.named(), table.text("group") if "group" in table.content else ""
+    values = table.table("values")
     values.only(joints)
     return State(name, group, tuple((joint, values.number(joint, "plain")) for joint in values.content))
 

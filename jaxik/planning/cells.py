@@ -55,7 +55,7 @@ def separated(
         return False
     n = robot.num_joints
     for first, last in _parts(model, scene, space, start, goals[0]):
-        if last - first < n and not model.tree.serial:
+        if last - first < n and not (model.tree.serial and model.tips == (n,)):
             continue  # a tree has no such parts
         some = slice(first, last)
         part = model.part(first, last, base=True) if last - first < n else model

@@ -461,7 +461,7 @@ def test_groups_states_and_end_effectors(two):
 
 
 def test_a_state_of_no_group(two):
-    """As example-robot-data has it of Kinova's arm."""
+    """The file of Kinova's arm in example-robot-data has such ones."""
     srdf = write(two.parent, "free.srdf", SRDF.replace('name="other" group="right_arm"', 'name="other"'))
     robot = jaxik.load(two, tip=HANDS, srdf=srdf, held={})
     assert robot.state("other").tolist() == [0.0, 0.0, 0.0, 0.0, 0.2]

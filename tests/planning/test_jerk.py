@@ -205,7 +205,8 @@ def test_smooth_bends_are_smooth_and_where_they_are_proven(arm):
 
 def test_planned_motions_keep_the_jerk_and_stay_free(arm, tmp_path):
     robot, coal = arm
-    starts, goals = np.array([START, GOAL, START]), np.array([GOAL, START, [0.0, 2.5, 1.0]])
+    starts = np.array([START, GOAL, START, [0.0, 2.5, 1.0]])
+    goals = np.array([GOAL, START, [0.0, 2.5, 1.0], [-0.5, 2.5, -1.0]])  # the last one straight on
     limits = {"velocity": VELOCITY, "acceleration": 4.0 * VELOCITY}
     many = plan_motion(robot, starts, goals, scene=POLES, jerk=LIMITS["jerk"], **limits)
     assert many.success.all() and (many.rounds > 0).any()

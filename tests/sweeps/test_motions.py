@@ -334,7 +334,7 @@ def test_a_study_of_motions_that_cannot_be_read(arm, change, words):
 
 def test_another_study_is_refused_and_named(studies, done):
     changed = studies[0] | {"motions": studies[0]["motions"] | {"rounds": 9}}
-    with pytest.raises(StoreError, match=r"motions\.rounds was 50000 and is 9"):
+    with pytest.raises(StoreError, match=r"motions\.rounds was 100000 and is 9"):
         jaxik.sweep(changed, done[0].path)
     with pytest.raises(ValueError, match="the targets are postures"):
         done[1].colliding(3)
