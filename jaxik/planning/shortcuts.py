@@ -9,7 +9,7 @@ A way is drawn tight so again and again: each time places are laid along what is
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Self
 
 import jax.numpy as jnp
@@ -188,12 +188,9 @@ class _Lazy:
     def laid(self, c: Chain, way: Any, corners: Any) -> Chain:
         """Places on a way: its corners, and others between them, as far as there is room. What lies on one of its lines is free
         of each other."""
-        length = lambda i: self.length(self.point(way, i + 1) - self.point(way, i))
         apart = jnp.maximum(self.along(way, corners) / POINTS, self.step)
-        parts = lambda i: jnp.maximum(jnp.ceil(length(i) / apart), 1.0)
-        add = lambda state: (state[0] + 1, state[1] + parts(state[0]))
-        all_parts = lax.while_loop(lambda state: state[0] < corners - 1, add, (jnp.int32(0), jnp.zeros((), way.dtype)))[1]
-        fits = all_parts < PLACES
+        parts = lambda i: jnp.maximum(jnp.ceil(self.line(way, i) / apart), 1.0)
+        fits = self.summed(way, corners, parts) < PLACES
 
         def place(state: Any) -> Any:
             i, part, k, places, lines = state
@@ -243,7 +240,15 @@ class _Lazy:
 
     def along(self, way: Any, corners: Any) -> Any:
         """The length of a way."""
-        step = lambda state: (state[0] + 1, state[1] + self.length(self.point(way, state[0] + 1) - self.point(way, state[0])))
+        return self.summed(way, corners, lambda i: self.line(way, i))
+
+    def line(self, way: Any, i: Any) -> Any:
+        """The length of the line from a corner to the next."""
+        return self.length(self.point(way, i + 1) - self.point(way, i))
+
+    def summed(self, way: Any, corners: Any, of: Callable[[Any], Any]) -> Any:
+        """The sum over the lines of a way of what belongs to each."""
+        step = lambda state: (state[0] + 1, state[1] + of(state[0]))
         return lax.while_loop(lambda state: state[0] < corners - 1, step, (jnp.int32(0), jnp.zeros((), way.dtype)))[1]
 
     def put(self, places: Any, k: Any, q: Any) -> Any:
