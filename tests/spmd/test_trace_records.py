@@ -60,13 +60,13 @@ def at_first(folder, count=2, **more):
 
 def test_another_process_does_not_trace(tmp_path):
     """Nor do two that began at once hinder each other."""
-    first, second = at_first(tmp_path, PYTHONHASHSEED="1")
-    assert first == second and first[0] == 1
-    assert at_first(tmp_path, 1, PYTHONHASHSEED="2") == [(0, first[1])]
+    (first, bits), (second, same) = at_first(tmp_path, PYTHONHASHSEED="1")
+    assert {first, second} in ({1}, {0, 1}) and same == bits  # the slower to begin may find what the other has written
+    assert at_first(tmp_path, 1, PYTHONHASHSEED="2") == [(0, bits)]
     kernels = [path for path in (tmp_path / "kernels").iterdir() if "trace" not in path.name]
     for path in kernels:  # their record is of no use then
         path.write_bytes(b"damaged")
-    assert len(kernels) == 1 and at_first(tmp_path, 1) == [first]
+    assert len(kernels) == 1 and at_first(tmp_path, 1) == [(1, bits)]
 
 
 def test_a_changed_source_is_traced_anew(tmp_path):
