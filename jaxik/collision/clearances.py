@@ -182,6 +182,12 @@ def first_to_collide(robot: Robot, around: Grouped, q: Any, margin: Any, every: 
     return ask(around, q, jnp.asarray(margin, q.dtype), jnp.asarray(every))
 
 
+def lanes_that_collide(robot: Robot, around: Grouped, q: Any, margin: Any, wanted: Any) -> Any:
+    """Whether a team's lane has a configuration that `collides`; lanes that are not `wanted` need not be known. Nothing is
+    checked. Traced."""
+    return _too_near(robot, around, q, jnp.asarray(margin, q.dtype), lambda hit: hit | ~wanted)
+
+
 def _first_to_collide(robot: Robot, around: Grouped, q: Any, margin: Any, every: Any) -> Any:
     me = lax.axis_index(TEAM)
     first = lambda hit: lax.pmin(jnp.where(hit, me, TEAM_SIZE), TEAM)
