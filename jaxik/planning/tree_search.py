@@ -21,7 +21,7 @@ import numpy as np
 from jax import lax
 
 from jaxik.collision.bvh import Grouped
-from jaxik.collision.clearances import first_to_collide, lanes_that_collide
+from jaxik.collision.clearances import lanes_that_collide
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.world import in_world
@@ -29,7 +29,7 @@ from jaxik.spmd import TEAM
 from jaxik.spmd.trace import TEAM_SIZE
 
 BLOCKS, MOST = 64, 512  # of nodes that a tree has room for at first and at most, as many a block as a team has lanes
-EDGES = 8  # that are tried at once, by two samples each
+EDGES, FIRSTS = 8, 0x5555  # that are tried at once, by two samples each; the bits of the first of these
 UNLIKE = 3  # times as many nodes as the other tree has, at which the smaller one, in the narrower place, grows alone; sooner
 # by as many times as there are scales
 SMALLER = 4.0  # times, each scale of the samples about a node than the one before
@@ -225,46 +225,41 @@ def _searched(robot: Robot, search: Search, offset: Any, reach: Reach, weights: 
         last = jnp.where(arrives, target, first + most / far * (target - first))
         return arrives, last, jnp.maximum(jnp.ceil(jnp.minimum(far, most) / reach.step), 1.0)
 
-    def grow(s: Search, own: Any, base: Any, target: Any, number: Any) -> tuple[Search, Any, Any]:
-        """Grows a tree from its node `base` towards a target, the other one's node of such a `number` if they are joining; also
-        the new node, and whether the way may go on from it."""
-        first = _node(s.nodes, own, base)
-        arrives, last, samples = edge(first, target)
-        q = first + jnp.minimum((me + 1) / samples, 1.0) * (last - first)
-        hit = first_to_collide(robot, obstacles, q, reach.margin, False)
-        free, new = hit >= samples, s.count[own]
-        place = jnp.where(free, last, first + hit / samples * (last - first))
-        s = lax.cond(free | (hit >= reach.few), lambda s: _grown(s, own, place, base), lambda s: s, s)
-        joined = s.joining & free & arrives
-        newest, base = jnp.where(joined, number, s.newest), jnp.where(joined, new, s.base)
-        s = s._replace(looks=s.looks + 1, joined=joined, newest=newest, base=base)
-        return s, new, s.joining & free & goes_on(s)
-
     def turn(begun: Search) -> Search:
         s = begun
         own = jnp.where(s.joining, 1 - s.tree, s.tree)
         before, fresh = s.count[own], jnp.minimum(s.since + mine, s.count[s.tree] - 1)
-        wanted = ~s.joining | (fresh == s.since + mine)
         targets = jnp.where(s.joining, _node(s.nodes, s.tree, fresh), _sample(s, mine, offset, reach))
+        wanted = ~s.joining | (fresh == s.since + mine)
         bases = _nearest(s.nodes, own, before, targets, weights)
         first = _node(s.nodes, own, bases)
         _, last, samples = edge(first, targets)
-        q = first + jnp.minimum(jnp.where(me % 2, reach.few, 1) / samples, 1.0) * (last - first)
-        hit = lanes_that_collide(robot, obstacles, q, reach.margin, wanted)
-        free = lax.psum(jnp.where(hit | ~wanted, 0, jnp.int32(1) << me), TEAM)
+        two = first + jnp.minimum(jnp.where(me % 2, reach.few, 1) / samples, 1.0) * (last - first)
 
-        def attempt(state: tuple[Search, Any]) -> tuple[Search, Any]:
-            s, k = state
+        def look(state: tuple[Search, Any, Any]) -> tuple[Search, Any, Any]:
+            """Looks at two samples of all edges, or then at all of the next one of those that are `left`, by the bits of their
+            lanes; `on` from a node instead of its own."""
+            s, left, on = state
+            all_edges, lane = left < 0, lax.pmin(jnp.where((left >> me) & 1 == 1, me, TEAM_SIZE), TEAM)
+            base = jnp.where(on < 0, of(lane, bases), on)
+            first = _node(s.nodes, own, base)
+            arrives, last, samples = edge(first, of(lane, targets))
+            whole = first + jnp.minimum((me + 1) / samples, 1.0) * (last - first)
+            hit = lanes_that_collide(robot, obstacles, jnp.where(all_edges, two, whole), reach.margin, all_edges)
+            passed = lax.psum(jnp.where(hit | ~wanted, 0, jnp.int32(1) << me), TEAM)
+            clear, new = lax.pmin(jnp.where(hit, me, TEAM_SIZE), TEAM), s.count[own]
+            free = ~all_edges & (clear >= samples)
+            place = jnp.where(free, last, first + clear / samples * (last - first))
+            grows = free | (~all_edges & (clear >= reach.few))
+            s = lax.cond(grows, lambda s: _grown(s, own, place, base), lambda s: s, s)
+            joined, goes = s.joining & free & arrives, s.joining & free & ~arrives
+            newest, base = jnp.where(joined, s.since + lane // 2, s.newest), jnp.where(joined, new, s.base)
+            s = s._replace(looks=s.looks + 1, joined=joined, newest=newest, base=base)
+            rest = jnp.where(goes, left, left & ~(jnp.int32(1) << lane))
+            return s, jnp.where(all_edges, passed & (passed >> 1) & FIRSTS, rest), jnp.where(goes, new, -1)
 
-            def on(s: Search) -> Search:
-                target, number = of(2 * k, targets), s.since + k
-                step = lambda state: grow(state[0], own, state[1], target, number)
-                return lax.while_loop(lambda state: state[2], step, (s, of(2 * k, bases), jnp.bool_(True)))[0]
-
-            return lax.cond((free >> 2 * k) & 3 == 3, on, lambda s: s, s), k + 1
-
-        s = s._replace(looks=s.looks + 1)
-        s = lax.while_loop(lambda state: (state[1] < EDGES) & goes_on(state[0]), attempt, (s, jnp.int32(0)))[0]
+        start = s, jnp.int32(-1), jnp.int32(-1)
+        s = lax.while_loop(lambda state: (state[1] != 0) & goes_on(state[0]), look, start)[0]
         joining = ~s.joining & (s.count[own] > before)
         drawn = s.drawn + jnp.where(s.joining, 0, EDGES)
         alone = (drawn // EDGES % 4 != 0) & (jnp.min(s.count) * UNLIKE < jnp.max(s.count) * reach.scales)
