@@ -8,8 +8,8 @@ found by dynamic programming.
 Cells are proven, not sampled. On a part of its way no point of an arm is further than `sum_j w_j |q_j - c_j|` from where it is
 at a configuration c in the middle, w_j the most that a joint's unit moves it; and between samples, `STEP` apart, no joint is
 further from its chord than `a STEP^2 / 8` with the limit a of its acceleration. A rectangle of moments is free if the arms, at
-both middles, are apart by the margin and all that both may be off these; one that is not is cut into four, down to a step by a
-step. Two carriages on one rail are such bodies: one passes the other through no free cell.
+both middles, are apart by the margin and all that both may be off these; one that is not is cut into four, down to a few steps
+by a few. Two carriages on one rail are such bodies: one passes the other through no free cell.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.trajectory import Trajectory
 
 STEP = 0.005  # [s] of an arm's own clock between samples
-COARSE = 64  # samples that the largest part of a way has
+COARSE, FINE = 64, 4  # samples that the largest part of a way has, and the smallest
 ROUNDING = 1e-4  # [m] that the arms keep beyond the margin, for what float32 makes of distances
 SAME = 1e-6  # [m] that two bodies may differ by, which are taken for one
 ROOM = 1.01  # times its limit that an acceleration may be, as float32 has it
@@ -39,18 +39,27 @@ Held = tuple[Volume | Box | Surface, ...]  # a body in a hand, in the frame of t
 
 class Timeline(NamedTuple):
     """An arm's way by its own clock: its joints `q` (m + 1, k) at samples; where it is at `rest`, before and after each stage
-    (s + 1,), by the samples' numbers; and on each stage the number of the body in its hand, 0 of none (s,)."""
+    (s + 1,), by the samples' numbers; on each stage the number of the body in its hand, 0 of none (s,), and the motion."""
 
     q: np.ndarray
     rest: np.ndarray
     held: np.ndarray
+    motions: tuple[Trajectory, ...]
+
+    def key(self, stage: int) -> tuple[int, int]:
+        """What a stage is known by: its motion, and the body; or that the arm stands at home."""
+        return (id(self.motions[stage]), int(self.held[stage])) if self.motions else (0, 0)
+
+    def cells(self, stage: int) -> slice:
+        """The steps of a stage; an arm that never moves has one."""
+        return slice(int(self.rest[stage]), int(self.rest[stage + 1])) if self.motions else slice(0, 1)
 
     @staticmethod
     def of(motions: Sequence[Trajectory], held: Sequence[int], at: np.ndarray) -> Timeline:
         """The timeline of motions, one after another, which begin at a configuration."""
         steps = [int(np.ceil(float(moved.duration) / STEP - 1e-9)) for moved in motions]
         parts = [moved.at_times(STEP * np.arange(1, count + 1)).q for moved, count in zip(motions, steps, strict=True)]
-        return Timeline(np.concatenate([at[None], *parts]), np.cumsum([0, *steps]), np.array(held, int))
+        return Timeline(np.concatenate([at[None], *parts]), np.cumsum([0, *steps]), np.array(held, int), tuple(motions))
 
 
 class Parts(NamedTuple):
@@ -62,6 +71,7 @@ class Parts(NamedTuple):
     q: np.ndarray
     moves: np.ndarray
     held: np.ndarray
+    stage: np.ndarray
     halves: np.ndarray
     whole: np.ndarray
 
@@ -75,7 +85,7 @@ class Parts(NamedTuple):
             number = len(rows)
             rows.append((first, last, stage))
             halves.append((-1, -1))
-            if last - first > 1:
+            if last - first > FINE:
                 middle = (first + last) // 2
                 halves[number] = add(first, middle, stage), add(middle, last, stage)
             return number
@@ -91,9 +101,9 @@ class Parts(NamedTuple):
             middle = 0.5 * (near.min(axis=0) + near.max(axis=0))
             middles.append(middle)
             moves.append(float(np.max(np.abs(near - middle) @ weights)) + bent)
-        held = np.array([*timeline.held, 0])[[stage for *_, stage in rows]]
-        first, last = np.array([row[:2] for row in rows]).T
-        return Parts(first, last, np.array(middles), np.array(moves), held, np.array(halves), np.array(large))
+        first, last, stages = np.array(rows).T
+        held = np.array([*timeline.held, 0])[stages]
+        return Parts(first, last, np.array(middles), np.array(moves), held, stages, np.array(halves), np.array(large))
 
 
 class Meeting:
@@ -104,6 +114,9 @@ class Meeting:
         self.robot, self.arms, self.acceleration, self.margin = robot, arms, acceleration, margin
         self.bodies: list[list[Held]] = [[()] for _ in arms]
         self.checkers: dict[tuple[int, int], CollisionChecker] = {}
+        # the cells of two stages are the same in every diagram; motions are known by their place in memory, which they keep
+        self.blocks: dict[tuple[tuple[int, int], tuple[int, int]], np.ndarray] = {}
+        self.kept: dict[int, Trajectory] = {}
 
     def number(self, i: int, held: Robot | None) -> int:
         """The number of the body that an arm holds, by the arm with the body; equal bodies have the same."""
@@ -118,6 +131,7 @@ class Meeting:
         known.append(body)
         if len(known) == 2:
             self.checkers.clear()  # now an empty hand is one that holds nothing
+            self.blocks.clear()
         return len(known) - 1
 
     def checker(self, held: tuple[int, int]) -> CollisionChecker:
@@ -146,8 +160,24 @@ class Meeting:
     def free(self, timelines: Sequence[Timeline]) -> np.ndarray:
         """The free cells of the diagram (m, k) of two timelines, a step of the one by a step of the other."""
         a, b = (Parts.of(line, *self.moves(i)) for i, line in enumerate(timelines))
-        found = np.zeros((max(1, a.last[a.whole[-1]]), max(1, b.last[b.whole[-1]])), bool)
+        first, second = timelines
+        shape = [max(1, int(line.rest[-1])) for line in timelines]
+        found, new = np.zeros(shape, bool), np.zeros((max(1, len(first.held)), max(1, len(second.held))), bool)
+        for i, k in np.ndindex(*new.shape):
+            block = self.blocks.get((first.key(i), second.key(k)))
+            new[i, k] = block is None
+            if block is not None:
+                found[first.cells(i), second.cells(k)] = block
         x, y = (grid.ravel() for grid in np.meshgrid(a.whole, b.whole, indexing="ij"))
+        asked = new[a.stage[x], b.stage[y]]
+        self._fill(found, a, b, x[asked], y[asked])
+        for i, k in np.argwhere(new):
+            self.blocks[first.key(i), second.key(k)] = found[first.cells(i), second.cells(k)].copy()
+        self.kept |= {id(motion): motion for line in timelines for motion in line.motions}
+        return found
+
+    def _fill(self, found: np.ndarray, a: Parts, b: Parts, x: np.ndarray, y: np.ndarray) -> None:
+        """Marks the free cells of such parts of both timelines."""
         while len(x):
             hit = self._hits(a, b, x, y)
             for i, k in zip(x[~hit], y[~hit], strict=True):
@@ -158,7 +188,6 @@ class Meeting:
             x, y = np.unique(np.concatenate(pieces, axis=1), axis=1) if len(x) else (x, y)
             left = (x >= 0) & (y >= 0)
             x, y = x[left], y[left]
-        return found
 
     def _hits(self, a: Parts, b: Parts, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Whether the arms may hit each other in the parts of such numbers of both timelines."""

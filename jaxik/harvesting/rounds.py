@@ -25,6 +25,7 @@ from jaxik.reasons import Reason
 DETOUR = 1.3  # times as long as straight, what a leg is taken to be that may not be straight, until it is planned
 WORTH = 0.998  # of the best tour's time, below which another is worth to be planned
 REVISED = 20  # times at most that a tour is found again
+SCHEDULED = 8  # tours at most of which it is found out by how much two arms wait, once there are some that do not meet
 LONG, ATTEMPTS = 1.3, 4  # times as long as straight, from which on a leg is planned anew, and how often at most
 GIVEN_UP = 3  # legs to or from a fruit without a motion, after which the round goes on without it
 STEP = 0.1  # [m] between samples of what may be straight
@@ -64,6 +65,7 @@ class Round:
         self.own = np.concatenate([[0.0], *(p.seconds + planner.options.leaf_time * p.touched for p in picks)])
         self.seconds = self.estimated()
         self.legs: dict[tuple[int, int], Leg] = {}
+        self.lines: dict[int, tuple[Trajectory, Trajectory]] = {}  # to each node's fruit, and back
         self.failures: dict[str, int] = {}
 
     def fruit(self, node: int) -> str:
@@ -149,7 +151,9 @@ class Round:
         parts, left = [], [Part("", "", leg.trajectory, None, leg.gone) for leg in legs if leg.trajectory is not None]
         for node in nodes:
             fruit, (picks, row) = self.fruit(node), self.members[node - 1]
-            there, back = (rows_of(moved, row) for moved in (picks.approach, picks.retreat))
+            if node not in self.lines:
+                self.lines[node] = rows_of(picks.approach, row), rows_of(picks.retreat, row)
+            there, back = self.lines[node]
             known = self.late.get(fruit, self.gone)
             parts.append(left.pop(0)._replace(kind="transfer", fruit=fruit))
             parts += [Part("approach", fruit, there, None, known), Part("retreat", fruit, back, picks.held[row], known)]
@@ -167,8 +171,8 @@ def planned(rounds: Sequence[Round], waits: Callable[[Sequence[Tour]], float] | 
     best, least, revised = [Tour() for _ in rounds], np.inf, 0
     known: dict[tuple[tuple[int, ...], ...], float] = {}
     first = rounds[0].planner
-    done = lambda: any(tour.parts for tour in best)
-    while any(each.groups for each in rounds) and not (done() and revised >= REVISED):
+    scheduled, done = 0, lambda: any(tour.parts for tour in best)
+    while any(each.groups for each in rounds) and not (done() and (revised >= REVISED or scheduled >= SCHEDULED)):
         costs, revised = [each.costs()[0] for each in rounds], revised + 1
         sides = [Side(cost, each.groups, each.planner.spent, each.needs) for cost, each in zip(costs, rounds, strict=True)]
         nodes = share(sides, first.rank, revised > 1 and first.options.order == "shortest", first.seed, known)
@@ -184,6 +188,7 @@ def planned(rounds: Sequence[Round], waits: Callable[[Sequence[Tour]], float] | 
             total = max(map(Round.taken, rounds, nodes, ways))
             tours = [*map(Round.tour, rounds, nodes, ways)]
             longer = waits(tours) if waits and total < least else 0.0
+            scheduled += bool(waits)
             known[key] = total + longer
             if total + longer < least:
                 best, least = tours, total + longer
