@@ -26,7 +26,7 @@ def two_arms_markdown(result: dict[str, Any]) -> str:
         [
             *lines,
             "",
-            f"Of {count:,} samples, one a millisecond, the arms touch in {hits} by Coal; {1e3 * result['margin_m']:g} mm are asked "
-            "for, from all that stands, too.",
+            f"Of {count:,} samples, one a millisecond, the arms touch in {hits} by Coal; {1e3 * result['margin_m']:g} mm are "
+            "asked for, from all that stands, too.",
         ]
     )

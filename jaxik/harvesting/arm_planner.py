@@ -1,4 +1,4 @@
-"""What one arm can do in a harvest, by itself: how it may pick each fruit, where it begins, and what it has driven."""
+"""One arm in a harvest, by itself: how it may pick each fruit, where it begins, and what it has driven."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Part(NamedTuple):
 
 
 class Tour(NamedTuple):
-    """What an arm does in a round, and its way home after that, None if it picks nothing."""
+    """The parts of an arm in a round, and its way home after that, None if it picks nothing."""
 
     parts: Sequence[Part] = ()
     homeward: Part | None = None
@@ -127,7 +127,7 @@ class ArmPlanner:
         return found._replace(blockers=blocking or found.blockers)
 
     def needed(self, found: Picks) -> tuple[Picks, frozenset[str]]:
-        """Those ways to pick a fruit that touch fewest of the others where they hang, and which ones."""
+        """Returns the ways to pick a fruit that touch fewest of the others where they hang, and which these are."""
         names, marks = self.scene.object_names, {mark.name for mark in self.scene.marks} - {found.fruit}
         others, margin = without(self.scene, [found.fruit]), self.options.margin
         lines = [np.asarray(moved.path.coefficients)[:, :, 3] for moved in (found.approach, found.retreat)]

@@ -214,7 +214,7 @@ def save_harvest(plan: HarvestPlan, path: str | Path, *, dt: float = 0.01) -> Pa
 
     A `.csv` has time, fruit and stage, and a column a quantity and joint; an `.npz` time (i,), fruit, stage, q, velocity and
     acceleration (i, n), joint_names; a `.json` is a list of stages with the fields of ROS' `trajectory_msgs/JointTrajectory`,
-    each from its own beginning. Of two arms fruit and stage are columns of each, fruit_<tip> and stage_<tip>, and a stage of
+    each from its own beginning. With two arms fruit and stage are columns of each, fruit_<tip> and stage_<tip>, and a stage of
     the list has its arm, when it starts [s], and the points of that arm's joints.
 
     Raises `ValueError` for another ending and unless `dt` is a positive number.

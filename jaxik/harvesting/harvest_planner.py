@@ -47,7 +47,7 @@ def plan_harvest(
     of each fruit the posture, are the shortest tour by estimated times, planned, and found again with what was planned, until
     it stays. Fruits that cannot be picked at first are tried again when others are gone.
 
-    Of a robot with two arms each fruit is picked by the one or the other, so that the last arm is home as soon as can be. They
+    With two arms each fruit is picked by the one or the other, so that the last arm is home as soon as can be. They
     move at the same time, and a stage begins once that is proven to keep the arms, and what they hold, apart by the margin.
     `home`, `place` and limits are then those of all joints. `changes` are fields of `HarvestPlanOptions`; `progress` is called
     with the numbers of fruits whose approaches were looked for, one an arm, and of all.

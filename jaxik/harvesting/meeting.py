@@ -47,7 +47,7 @@ class Timeline(NamedTuple):
     motions: tuple[Trajectory, ...]
 
     def key(self, stage: int) -> tuple[int, int]:
-        """What a stage is known by: its motion, and the body; or that the arm stands at home."""
+        """Returns by what a stage is known: its motion, and the body; or that the arm stands at home."""
         return (id(self.motions[stage]), int(self.held[stage])) if self.motions else (0, 0)
 
     def cells(self, stage: int) -> slice:
@@ -135,7 +135,7 @@ class Meeting:
         return len(known) - 1
 
     def checker(self, held: tuple[int, int]) -> CollisionChecker:
-        """What tells whether the arms hit each other while they hold bodies of these numbers."""
+        """The checker that tells whether the arms hit each other while they hold bodies of these numbers."""
         if held not in self.checkers:
             robot = self.robot
             for arm, bodies, number in zip(self.arms, self.bodies, held, strict=True):
@@ -235,7 +235,7 @@ def _holding(robot: Robot, arm: Arm, body: Held) -> Robot:
 
 
 def _nothing(robot: Robot, arm: Arm, body: Held) -> Held:
-    """What an empty hand holds: a point of the hand itself, of as many volumes as a body of these has; so one kernel serves
+    """The body in an empty hand: a point of the hand itself, of as many volumes as a body of these has; so one kernel serves
     both. It is nothing at all where that cannot be."""
     row = robot.with_tips(arm.name).tips[0]
     points = [np.asarray(b.joint_T_box)[:3, 3] for b in robot.boxes if robot.link_joint[b.link] == row]

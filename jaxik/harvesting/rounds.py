@@ -145,7 +145,7 @@ class Round:
         return self.planner.spent + lasts + float(self.own[[*nodes]].sum())
 
     def tour(self, nodes: Sequence[int], legs: Sequence[Leg]) -> Tour:
-        """What the arm does along some nodes, by such legs, the last one home."""
+        """The tour along some nodes, by such legs, the last one home."""
         if not nodes:
             return Tour()
         parts, left = [], [Part("", "", leg.trajectory, None, leg.gone) for leg in legs if leg.trajectory is not None]

@@ -1,4 +1,4 @@
-"""Which arm takes which fruit, and in which order, so that the last one is done as soon as can be. It knows no robot."""
+"""Shares fruits between arms, and orders them, so that the last arm is done as soon as can be. It knows no robot."""
 
 from __future__ import annotations
 
@@ -35,10 +35,9 @@ NOTHING: Known = {}
 def share(sides: Sequence[Side], rank: Mapping[str, int], shortest: bool, seed: int, known: Known = NOTHING) -> list[Tour]:
     """The nodes of each arm's tour, such that all fruits are picked and the longest is shortest.
 
-    In any order if the `shortest` is asked for, else by the fruits' `rank`. Of some tours it is `known` how long they really
-    take, which is no less; no fruit is picked where that is infinite of all. One arm has all fruits. Of two, up to `EXACT`
-    fruits are shared in the best of all ways, by dynamic programming; of more each gets those on one side of a place in the
-    row.
+    The order is any if the `shortest` is asked for, else that of the fruits' `rank`. How long some tours really take may be
+    `known`, which is no less; no fruit is picked where that is infinite of all. One arm has all fruits. Two share up to `EXACT`
+    fruits in the best of all ways, by dynamic programming; with more each gets those on one side of a place in the row.
     """
     place = dict[str, float](rank)
     for fruit, needed in (pair for side in sides for pair in side.needs.items()):
