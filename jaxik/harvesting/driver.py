@@ -110,10 +110,10 @@ def harvest(
 
     Scans all angles about a fruit's axis with all positions of the leading joints and all branches (`scan`), and recovers
     between the grid's points where the grid has nothing (`recover`). For a fruit behind obstacles it names them and what has
-    to go first (`ScanResult.blockers`): neighbours that can be picked themselves, else the fewest leaves. Each of two arms is asked
-    alone, as if the other were not there, and a row is that of the arm with the better score; `plan_harvest` sees to it that
-    they do not meet. `changes` are fields of `HarvestOptions` by name. `progress` is called with the numbers of finished fruits,
-    one an arm, and of all.
+    to go first (`ScanResult.blockers`): neighbours that can be picked themselves, else the fewest leaves. Each of two arms is
+    asked alone, as if the other were not there, and a row is that of the arm with the better score; `plan_harvest` sees to it
+    that they do not meet. `changes` are fields of `HarvestOptions` by name. `progress` is called with the numbers of finished
+    fruits, one an arm, and of all.
 
     Raises `ValueError` where an arm has no closed form or the scene no fruit, for more than two arms and those that share a
     joint, and for another kind of option. Source: Van Henten et al. 2010, sec. 4, 5.1.
