@@ -17,6 +17,7 @@ from jaxik.reasons import Reason
 
 LOOKED = 32  # colliding postures that are asked what they collide with
 UNITS = {"angle": "rad", "clearance": "m", "position_error": "m", "rotation_error": "rad"}  # of a table's columns
+UNITS |= {"x": "m", "y": "m", "heading": "rad"}
 
 
 def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
