@@ -27,7 +27,7 @@ import jaxik
 FILE, TIP = ROBOTS / "tiago_description/robots/tiago_no_hand.urdf", "arm_tool_link"
 TARGETS, CELLS = 50, 1_000
 REGION: dict[str, Any] = {"x": (-1.6, 1.6, 32), "y": (-1.6, 1.6, 32), "headings": 16}
-STARTS, AGAIN = 20, 2_000  # of the brute force a pair, at first, and where jaxik has an answer that it has not
+STARTS, AGAIN = 8, 2_000  # of the brute force a pair, at first, and where jaxik has an answer that it has not
 NEAR, LAST, WELL = 1e-6, 60, 0.99  # [m, rad]; steps of a start, which ends where ten of them made its error less by 1 %
 PLACES = 20_000  # random places in random cells for which a pair is proven
 

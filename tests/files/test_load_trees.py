@@ -215,6 +215,24 @@ def test_tips_that_are_none(two, tip, words):
     refused(path, *words, tip=tip)
 
 
+def test_a_second_root_is_told(two):
+    """Unless it is an empty link, which changes nothing, or a base is named."""
+    more = link("table") + link("top") + joint("stand", "table", "top")
+    path = write(two.parent, "two_roots.urdf", TWO.replace("</robot>", f"{more}</robot>"))
+    with pytest.warns(
+        UserWarning, match="'?table'?: no joint leads there, and what hangs on it is left out; join it by a fixed"
+    ):
+        found = jaxik.load(path, tip=HANDS, held={})
+    assert (
+        found.joint_names
+        == jaxik.load(two, tip=HANDS, held={}).joint_names
+        == jaxik.load(path, tip=HANDS, base="base", held={}).joint_names
+    )
+    ring = "".join(map(link, "xyz")) + joint("1", "x", "y") + joint("2", "y", "z") + joint("3", "z", "x")
+    path = write(two.parent, "ring.urdf", f'<robot name="ring">{ring}</robot>')
+    refused(path, "link 'x'", "the joints form a loop", "cut the joint between 'z' and it", tip="x")
+
+
 def test_tips_are_names():
     for tip in (3, [1, 2], [None], [["left_hand"]]):
         with pytest.raises(ValueError, match=r"^load: tip is .*write \"link\", or a list"):
