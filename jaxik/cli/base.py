@@ -93,5 +93,5 @@ def write_bases(found: BasePoses, out: Path) -> None:
         arrays = {"base": found.base, "seen": found.seen, "reasons": texts(found.reasons), "proven": found.proven}
         np.savez(out, allow_pickle=False, **arrays)
         return
-    columns = dict(zip(("x", "y", "heading"), found.base.T, strict=True))
+    columns = dict(zip(("x [m]", "y [m]", "heading [rad]"), found.base.T, strict=True))
     write_csv(out, columns | {"targets": found.count, "reason": texts(found.reason), "empty": found.empty})
