@@ -26,6 +26,7 @@ import jaxik
 
 FILE, TIP = ROBOTS / "tiago_description/robots/tiago_no_hand.urdf", "arm_tool_link"
 TARGETS, CELLS = 50, 1_000
+TABLE = jaxik.make_scene(boxes=[[0.0, 0.0, 0.7, 1.2, 0.7, 0.04], [0.0, 0.0, 0.34, 0.1, 0.1, 0.68]])
 REGION: dict[str, Any] = {"x": (-1.6, 1.6, 32), "y": (-1.6, 1.6, 32), "headings": 16}
 STARTS, AGAIN = 8, 2_000  # of the brute force a pair, at first, and where jaxik has an answer that it has not
 NEAR, LAST, WELL = 1e-6, 60, 0.99  # [m, rad]; steps of a start, which ends where ten of them made its error less by 1 %
@@ -89,9 +90,8 @@ class BruteForce:
 
 def searched(robot: jaxik.Robot, poses: np.ndarray) -> dict[str, Any]:
     """How long the grid takes, by what answers keep clear of; the last of two runs."""
-    table = jaxik.make_scene(boxes=[[0.0, 0.0, 0.7, 1.2, 0.7, 0.04], [0.0, 0.0, 0.34, 0.1, 0.1, 0.68]])
     found = {}
-    for name, how in (("limits", {"collision": False}), ("itself", {}), ("itself and a table", {"scene": table})):
+    for name, how in (("limits", {"collision": False}), ("itself", {}), ("itself and a table", {"scene": TABLE})):
         for _ in range(2):
             result, seconds = clocked(lambda how=how: jaxik.reach.base_poses(robot, poses, **REGION, **how))
         best = int(result.count.max())

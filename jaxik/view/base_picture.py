@@ -37,7 +37,7 @@ def plot_base_poses(
     span = np.array([x.high - x.low, y.high - y.low])
     wide, high = span * SIZE / span.max()
     width = max(wide + sum(SIDES), 8.0)
-    figure = Figure(figsize=(width, high + HEAD + FOOT))
+    figure = Figure(figsize=(width, high + HEAD + FOOT), layout="none")
     axis = figure.add_axes((SIDES[0] / width, FOOT / (high + HEAD + FOOT), wide / width, high / (high + HEAD + FOOT)))
     shown = _draw_floor(figure, axis, found)
     solids = scene_solids(scene) if scene is not None else []
