@@ -188,7 +188,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
     asked = parser.parse_args()
     robot, poses = loaded(), targets()
-    content: dict[str, Any] = {"machine": machine(), "targets": TARGETS, "search": searched(robot, poses)}
+    content: dict[str, Any] = {"machine": machine(), "targets": TARGETS, "region": REGION, "search": searched(robot, poses)}
     content["proofs"] = proofs(robot, poses)
     print(content["proofs"], flush=True)
     content["brute force"] = compared(robot, poses)

@@ -14,7 +14,7 @@ import jaxik
 from jaxik.cli.arguments import SearchArguments, flags, given
 from jaxik.cli.results import check_writable, write_csv, writing
 from jaxik.cli.terminal import Unsolved, progress_bar
-from jaxik.reach.base_poses import BasePoses, base_poses
+from jaxik.reach.mobile_base import BasePoses, base_poses
 from jaxik.reasons import texts
 
 SHOWN = 5  # bases that are told, the best

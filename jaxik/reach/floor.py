@@ -22,20 +22,20 @@ ROUNDING = 1e-9  # [m] more than float64 rounds by
 
 
 class Axis(NamedTuple):
-    """A range in `count` equal parts [m, rad]."""
+    """A range in so many equal `cells` [m, rad]."""
 
     low: float
     high: float
-    count: int
+    cells: int
 
     @property
     def half(self) -> float:
-        """Half the length of a part."""
-        return (self.high - self.low) / (2.0 * self.count)
+        """Half the length of a cell."""
+        return (self.high - self.low) / (2.0 * self.cells)
 
     @property
     def middles(self) -> np.ndarray:
-        return self.low + self.half * (2.0 * np.arange(self.count) + 1.0)
+        return self.low + self.half * (2.0 * np.arange(self.cells) + 1.0)
 
     @staticmethod
     def of(what: str, given: Any) -> Axis:
@@ -58,7 +58,7 @@ class Floor(NamedTuple):
     def of(x: Any, y: Any, headings: Any) -> Floor:
         """Takes (from, to, count) each; of headings a count alone is over the whole turn, whose first middle is 0."""
         if np.ndim(headings) == 0:
-            count = Axis.of("headings", (0.0, 1.0, headings)).count if is_finite_number(headings) else 0
+            count = Axis.of("headings", (0.0, 1.0, headings)).cells if is_finite_number(headings) else 0
             if not count:
                 raise ValueError(f"base_poses: headings is {shown(headings)}; write a count, or (from, to, count) [rad]")
             headings = (-np.pi / count, TURN - np.pi / count, count)
@@ -66,7 +66,7 @@ class Floor(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        return self.x.count, self.y.count, self.heading.count
+        return self.x.cells, self.y.cells, self.heading.cells
 
     @property
     def around(self) -> bool:

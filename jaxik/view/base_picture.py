@@ -11,7 +11,7 @@ from jaxik.checks.arrays import numbers
 from jaxik.checks.options import check_kind
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
-from jaxik.reach.base_poses import BasePoses
+from jaxik.reach.mobile_base import BasePoses
 from jaxik.reasons import Reason
 from jaxik.view.palette import ARM, ARM_EDGE, BAD, COLOURS, GOOD, INK, OBSTACLE, SCALE
 from jaxik.view.pictures import draw_solids, marker, write_around
@@ -37,7 +37,8 @@ def plot_base_poses(
     span = np.array([x.high - x.low, y.high - y.low])
     wide, high = span * SIZE / span.max()
     width = max(wide + sum(SIDES), 8.0)
-    figure = Figure(figsize=(width, high + HEAD + FOOT), layout="none")
+    figure = Figure(figsize=(width, high + HEAD + FOOT))
+    figure.set_layout_engine("none")  # whatever matplotlib is set to
     axis = figure.add_axes((SIDES[0] / width, FOOT / (high + HEAD + FOOT), wide / width, high / (high + HEAD + FOOT)))
     shown = _draw_floor(figure, axis, found)
     solids = scene_solids(scene) if scene is not None else []
@@ -67,9 +68,11 @@ def _draw_floor(figure: Any, axis: Any, found: BasePoses) -> list[Any]:
     most, empty = found.on_floor(found.count), found.on_floor(found.empty, np.all)
     hits = found.on_floor(found.reason == Reason.COLLISION, np.any) & (most == 0)
     looks = {"origin": "lower", "extent": extent, "interpolation": "nearest"}
-    kinds = ((empty, "proven: no target from anywhere in the cell", COLOURS[Reason.OUT_OF_REACH]),)
-    kinds += ((hits, "base or arm hits something", COLOURS[Reason.COLLISION]),)
-    kinds += (((most == 0) & ~empty & ~hits, "no posture found", "#ffffff"),)
+    kinds = (
+        (empty, "proven: no target from anywhere in the cell", COLOURS[Reason.OUT_OF_REACH]),
+        (hits, "base or arm hits something", COLOURS[Reason.COLLISION]),
+        ((most == 0) & ~empty & ~hits, "no posture found", "#ffffff"),
+    )
     image = axis.imshow(np.where(most > 0, most, np.nan).T, cmap=SCALE, vmin=0, **looks)
     for mask, _, colour in kinds:
         axis.imshow(np.where(mask, 0.0, np.nan).T, cmap=_flat(colour), **looks)
@@ -104,5 +107,5 @@ def _draw_stops(axis: Any, found: BasePoses, span: float) -> None:
 def _told(found: BasePoses) -> str:
     stops, seen = len(found.stops()), int(found.seen.any(axis=0).sum())
     empty = int(found.on_floor(found.empty, np.all).sum())
-    cells = found.floor.x.count * found.floor.y.count
+    cells = found.floor.x.cells * found.floor.y.cells
     return f"{stops} stops see {seen} of {found.reasons.shape[1]}; of {empty} of {cells} cells it is proven that none is seen"

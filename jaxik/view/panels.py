@@ -21,7 +21,7 @@ class Sliders:
     def __init__(self, gui: Any, robot: Robot, q: np.ndarray, moved: Callable[[int, float], Any]):
         self.limits, self.moved, slides = np.array(robot.finite_limits), moved, np.array(robot.is_prismatic)
         self._factor, self._digits = np.where(slides, 1.0, np.degrees(1.0)), np.where(slides, 3, 1).tolist()
-        made, units = {}, np.where(slides, "m", "deg")
+        made, units = dict[int, Any](), np.where(slides, "m", "deg")
         for branch, joints in branches(robot).items():
             with gui.add_folder(branch) if branch else contextlib.nullcontext():
                 made |= {i: self._slider(gui, f"{robot.joint_names[i]} [{units[i]}]", i, q[i]) for i in joints}

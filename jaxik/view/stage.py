@@ -155,7 +155,7 @@ class Stage:
         names = [f"/target/{name}" for name in self.robot.tip_names] if several else ["/target"]
         self.gizmos = [add(name, scale=0.18, depth_test=False) for name in names]
         switch = gui.add_checkbox("target to drag", True)
-        switch.on_update(lambda _: [setattr(gizmo, "visible", switch.value) for gizmo in self.gizmos])
+        switch.on_update(lambda _: self._switched(switch.value))
         kinds = ("position and turn", "position alone")
         self.binds = gui.add_dropdown("it binds", kinds, initial_value=kinds[self.robot.num_joints < 6])
         self.clear = gui.add_checkbox("keep clear", self.scene is not None, visible=self.scene is not None)
@@ -168,6 +168,10 @@ class Stage:
     def gizmo(self) -> Any:
         """The target of the tip, of several of the first."""
         return self.gizmos[0]
+
+    def _switched(self, shown: bool) -> None:
+        for gizmo in self.gizmos:
+            gizmo.visible = shown
 
     def _dragged(self, tip: int) -> None:
         gizmo = self.gizmos[tip]
