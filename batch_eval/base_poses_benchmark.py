@@ -100,7 +100,6 @@ def searched(robot: jaxik.Robot, poses: np.ndarray) -> dict[str, Any]:
             "seen": int(result.seen.sum()),
             "bases": len(result),
             "empty": int(result.empty.sum()),
-            "stops": len(result.stops()),
         }
         found[name] = row
         print(name, row, flush=True)
@@ -125,7 +124,7 @@ def without_proofs(robot: jaxik.Robot, poses: np.ndarray, seen: np.ndarray, base
 def compared(robot: jaxik.Robot, poses: np.ndarray) -> dict[str, Any]:
     """Counts a cell against brute force."""
     result = jaxik.reach.base_poses(robot, poses, **REGION, collision=False)
-    plain = without_proofs(robot, poses, result.seen, result.base)
+    plain = without_proofs(robot, poses, result.seen, result.bases)
     print(plain, flush=True)
     brute, rows = BruteForce(robot), np.random.default_rng(3).choice(len(result), CELLS, replace=False)
     base_T_world, theirs = np.linalg.inv(result.world_T_base[rows]), np.zeros((CELLS, TARGETS), bool)
@@ -168,10 +167,10 @@ def proofs(robot: jaxik.Robot, poses: np.ndarray) -> dict[str, int]:
     floor = jaxik.reach.Floor.of(**REGION)
     result = jaxik.reach.base_poses(robot, poses, **REGION, collision=False, max_seeds=1)
     pairs, rng = np.argwhere(result.proven), np.random.default_rng(4)
-    near = np.linalg.norm(result.base[pairs[:, 0], :2] - poses[pairs[:, 1], :2, 3], axis=1) < 1.25  # where it is close
+    near = np.linalg.norm(result.bases[pairs[:, 0], :2] - poses[pairs[:, 1], :2, 3], axis=1) < 1.25  # where it is close
     pairs = pairs[near][rng.choice(int(near.sum()), min(PLACES, int(near.sum())), replace=False)]
     half = np.array([axis.half for axis in floor])
-    base = result.base[pairs[:, 0]] + rng.uniform(-half, half, (len(pairs), 3))
+    base = result.bases[pairs[:, 0]] + rng.uniform(-half, half, (len(pairs), 3))
     asked = np.linalg.inv(jaxik.reach.base_frames(base)) @ poses[pairs[:, 1]]
     brute = BruteForce(robot)
     found = sum(brute.solve(pose, 3) for pose in asked[: PLACES // 20])

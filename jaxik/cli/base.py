@@ -72,7 +72,7 @@ class BaseArguments(FLAGS, SearchArguments):
         with writing(self.out) as (aside, wrote):
             write_bases(found, aside)
         for row in found.best(SHOWN) if found.count.any() else ():
-            x, y, heading = found.base[row]
+            x, y, heading = found.bases[row]
             print(f"  {found.count[row]} targets from x {x:.3f} m, y {y:.3f} m, heading {np.degrees(heading):.0f} deg")
         stops, of = found.stops(), f"{int(found.seen.any(axis=0).sum())} of {len(targets)} targets"
         proven = f"{int(found.empty.sum())} proven to see none"
@@ -90,8 +90,8 @@ class BaseArguments(FLAGS, SearchArguments):
 def write_bases(found: BasePoses, out: Path) -> None:
     """A table of the bases (.csv), or all arrays (.npz, no pickle)."""
     if out.suffix.lower() == ".npz":
-        arrays = {"base": found.base, "seen": found.seen, "reasons": texts(found.reasons), "proven": found.proven}
+        arrays = {"base": found.bases, "seen": found.seen, "reasons": texts(found.reasons), "proven": found.proven}
         np.savez(out, allow_pickle=False, **arrays)
         return
-    columns = dict(zip(("x [m]", "y [m]", "heading [rad]"), found.base.T, strict=True))
+    columns = dict(zip(("x [m]", "y [m]", "heading [rad]"), found.bases.T, strict=True))
     write_csv(out, columns | {"targets": found.count, "reason": texts(found.reason), "empty": found.empty})

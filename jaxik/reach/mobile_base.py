@@ -6,8 +6,8 @@ anything from where the base itself hits the scene. Answers are sought among the
 their bases, in one kernel, and only those that hit something there are sought again, each in its scene.
 
 A pair that has no answer takes a hundred times as long as one that has, and most pairs have none. So each gets `SCOUTS` seeds,
-and only one beside a base that sees the target gets all, again and again until none is left. Of 90,926 pairs of a TIAGo's 16
-seeds missed 52 that 128 found, all of them beside such a base, in half the time; a finer grid has less that lies beside.
+and only one beside a base that sees the target gets all, again and again until none is left. A TIAGo's 16
+seeds missed 52 of 90,926 pairs that 128 found, all beside such a base, in half the time; a finer grid has less beside it.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ NEAREST = Reason.SOLVED, Reason.COLLISION, Reason.LIMITS, Reason.NOT_CONVERGED, 
 class BasePoses(Result):
     """The bases of a grid, and which targets each of them sees: one entry a base.
 
-    base (B, 3) holds x, y [m] and heading [rad], headings fastest. reasons (B, N) are the `Reason`s of its targets: SOLVED,
+    bases (B, 3) hold x, y [m] and heading [rad], headings fastest. reasons (B, N) are the `Reason`s of its targets: SOLVED,
     seen; else why not from this base. proven (B, N) says where no base in the whole cell about it reaches the target; a cell
     whose targets are all proven is `empty`. reason (B,) is SOLVED where it sees any target, else the reason of the target that
     is nearest to an answer. `floor` is the region and its cells.
     """
 
-    base: np.ndarray
+    bases: np.ndarray
     reasons: np.ndarray
     proven: np.ndarray
     reason: Any
@@ -111,7 +111,7 @@ class BasePoses(Result):
     @property
     def world_T_base(self) -> np.ndarray:
         """The frames (B, 4, 4) of the bases; a robot that stands on one is `robot.mounted(frame @ robot.world_T_base)`."""
-        return base_frames(self.base)
+        return base_frames(self.bases)
 
     def _told(self) -> str:
         if self.single:

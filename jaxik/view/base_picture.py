@@ -87,7 +87,7 @@ def _flat(colour: str) -> Any:
 
 
 def _draw_base(axis: Any, found: BasePoses, robot: Robot) -> None:
-    """What no joint of the robot moves, on the best base."""
+    """The links that no joint of the robot moves, on the best base."""
     best = found.world_T_base[found.best()[0]]
     placed = frames(robot.mounted(best @ robot.world_T_base), np.clip(0.0, robot.lower, robot.upper))[0]
     still = [solid.moved(placed) for link, solid in volume_solids(robot) if robot.link_joint[link] == 0]
@@ -97,7 +97,7 @@ def _draw_base(axis: Any, found: BasePoses, robot: Robot) -> None:
 def _draw_stops(axis: Any, found: BasePoses, span: float) -> None:
     looks = {"ha": "center", "va": "center", "fontsize": 8, "weight": "bold", "color": INK}
     for number, row in enumerate(found.stops(), 1):
-        x, y, heading = found.base[row]
+        x, y, heading = found.bases[row]
         end = x + ARROW * span * np.cos(heading), y + ARROW * span * np.sin(heading)
         axis.annotate("", end, (x, y), arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.6}, zorder=5)
         box = {"boxstyle": "circle,pad=0.2", "fc": "w", "ec": INK, "lw": 1.2}

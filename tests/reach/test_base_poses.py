@@ -71,7 +71,7 @@ def test_a_base_that_hits_something_sees_nothing():
     robot = jaxik.load("ur5e")
     wall = jaxik.make_scene(boxes=[[0.5, 0.0, 0.0, 1.0, 4.0, 0.3]])  # about the base link from x = 0 on
     found = base_poses(robot, grasps(4), **REGION, scene=wall)
-    inside = found.base[:, 0] > 0.1
+    inside = found.bases[:, 0] > 0.1
     assert inside.any() and not found.seen[inside].any() and found.seen[~inside].any()
     assert np.isin(found.reasons[inside], (Reason.COLLISION, Reason.OUT_OF_REACH)).all()
 
