@@ -16,6 +16,7 @@ from tables.collision import (
     scenes_markdown,
 )
 from tables.forces import dynamics_markdown, identification_markdown, torque_markdown, touch_markdown
+from tables.mobile_base import mobile_base_markdown
 from tables.motions import (
     astar_markdown,
     ends_markdown,
@@ -51,6 +52,7 @@ HERE = Path(__file__).parent
 TABLES = {
     "astar.json": astar_markdown,
     "base_placement.json": base_markdown,
+    "base_poses_benchmark.json": mobile_base_markdown,
     "benchmark.json": kinematics_markdown,
     "closed_forms.json": closed_forms_markdown,
     "collision_benchmark.json": collision_markdown,

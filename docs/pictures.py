@@ -69,6 +69,19 @@ def reach() -> None:
         plot_sweep(f"{folder}/row.zarr", FOLDER / "reach.png")
 
 
+def base_poses() -> None:
+    """Where a TIAGo (of example-robot-data) must stand for the grasps of `batch_eval/base_poses_benchmark.py`."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "batch_eval"))
+    import base_poses_benchmark as of
+
+    from jaxik.view import plot_base_poses
+
+    robot, targets = of.loaded(), of.targets()
+    region = {"x": (-1.5, 1.5, 30), "y": (-1.5, 1.5, 30), "headings": 12}
+    found = jaxik.reach.base_poses(robot, targets, **region, scene=of.TABLE)
+    plot_base_poses(found, targets, FOLDER / "base_poses.png", robot=robot, scene=of.TABLE)
+
+
 def kernels() -> None:
     """XLA's row of loops over a batch, and a kernel's one."""
     figure, axes = plt.subplots(1, 2, figsize=(10, 3.2))
@@ -331,7 +344,19 @@ def _save(figure: Any, name: str) -> None:
     plt.close(figure)
 
 
-ALL = (harvest, motions, two_arms, reach, kernels, inverse_kinematics, collision, between, predictive, external_torque)
+ALL = (
+    harvest,
+    motions,
+    two_arms,
+    reach,
+    base_poses,
+    kernels,
+    inverse_kinematics,
+    collision,
+    between,
+    predictive,
+    external_torque,
+)
 
 if __name__ == "__main__":
     wanted = sys.argv[1:] or [draw.__name__ for draw in ALL]

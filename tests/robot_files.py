@@ -29,6 +29,39 @@ POST = """<robot name="post">
     <axis xyz="0 0 1"/><limit lower="-2" upper="2" velocity="1" effort="1"/></joint>
 </robot>"""
 
+LIMIT = '<limit lower="-2" upper="2" velocity="3" effort="40"/>'
+INERTIAL = """<inertial><origin xyz="0.1 0.02 0.03"/><mass value="{}"/>
+<inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0.001" ixz="0" iyz="0"/></inertial>"""
+
+
+def link(name, mass=1.0):
+    shape = '<collision><origin xyz="0.1 0 0"/><geometry><sphere radius="0.04"/></geometry></collision>'
+    return f'<link name="{name}">{INERTIAL.format(mass)}{shape}</link>'
+
+
+def joint(name, parent, child, kind="revolute", xyz="0.3 0 0", axis="0 0 1", more=""):
+    ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}" rpy="0.2 -0.1 0.3"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}<axis xyz="{axis}"/>{LIMIT}{more}</joint>'
+
+
+# a torso, two arms, of which the left has a hand whose thumb leads two other joints, one by way of the other
+PARTS = {
+    "torso": joint("turn", "base", "torso", xyz="0 0 0.5"),
+    "left": joint("left_shoulder", "torso", "left", xyz="0 0.2 0", axis="0 1 0"),
+    "left_hand": joint("left_wrist", "left", "left_hand", axis="1 0 0"),
+    "right": joint("right_shoulder", "torso", "right", "prismatic", "0 -0.2 0", "0 0.6 0.8"),
+    "right_hand": joint("right_wrist", "right", "right_hand", axis="0 1 0"),
+    "thumb": joint("flex", "left_hand", "thumb", xyz="0.1 0 0"),
+    "finger": joint(
+        "grip", "left_hand", "finger", "prismatic", "0.1 0.05 0", "0 1 0", '<mimic joint="flex" multiplier="-0.5"/>'
+    ),
+    "nail": joint(
+        "curl", "finger", "nail", xyz="0.1 0 0", axis="0 1 0", more='<mimic joint="grip" multiplier="3" offset="0.1"/>'
+    ),
+}
+TWO = f"""<robot name="two">{link("base", 5.0)}{"".join(link(name) for name in PARTS)}{"".join(PARTS.values())}</robot>"""
+HANDS = ["left_hand", "right_hand"]
+
 
 def write(folder, name, content):
     path = folder / name

@@ -1,4 +1,5 @@
-"""The commands: `jaxik harvest`, `jaxik ik`, `jaxik plan`, `jaxik dynamics`, `jaxik sweep`, `jaxik fit`, `jaxik view`."""
+"""The commands: `jaxik harvest`, `jaxik ik`, `jaxik plan`, `jaxik dynamics`, `jaxik sweep`, `jaxik base`, `jaxik fit`,
+`jaxik view`."""
 
 from __future__ import annotations
 
@@ -12,6 +13,7 @@ from typing import Annotated, Any, Union
 import tyro
 
 import jaxik
+from jaxik.cli.base import BaseArguments
 from jaxik.cli.dynamics import DynamicsArguments
 from jaxik.cli.fit import FitArguments
 from jaxik.cli.harvest import HarvestArguments
@@ -37,6 +39,7 @@ COMMANDS = {
     "plan": PlanArguments,
     "dynamics": DynamicsArguments,
     "sweep": SweepArguments,
+    "base": BaseArguments,
     "fit": FitArguments,
     "view": ViewArguments,
     "about": _About,

@@ -6,7 +6,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import tyro
 
@@ -38,12 +38,13 @@ def given(arguments: Any, options: type[Options]) -> dict[str, Any]:
 
 @dataclasses.dataclass(kw_only=True)
 class RobotArguments:
-    """The chain of a robot's file, where the joints beside it are held, and what is not checked."""
+    """The chain of a robot's file, or the tree of several tips, where joints beside it are held, and what is not checked."""
 
+    SEVERAL: ClassVar[bool] = False  # whether the command takes several tips
     robot: tyro.conf.Positional[str]
     """A shipped model or a robot file (.urdf, .xml, .toml)."""
-    tip: str | None = None
-    """The link at the tip, which goes to the targets; needed where the robot has several."""
+    tip: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """The link at the tip, which goes to the targets; needed where the robot has several. Given again, the tree of several."""
     base: str | None = None
     """The link that the robot starts from, and targets are given in; the root unless given."""
     posture: tuple[str, ...] = ()
@@ -57,10 +58,13 @@ class RobotArguments:
     """Folders of ROS packages, or that hold such, beside those above the file and in ROS' environment."""
 
     def loading(self) -> dict[str, Any]:
-        """The arguments of `jaxik.load` among these."""
+        """The arguments of `jaxik.load` among these. Raises `ValueError` for several tips where the command takes one."""
+        if len(self.tip) > 1 and not self.SEVERAL:
+            raise ValueError(f"--tip {' --tip '.join(self.tip)}: this command moves one tip; name --tip once")
+        tip = self.tip[0] if len(self.tip) == 1 else [*self.tip] or None
         more = {"posture": read_posture(self.posture), "ignore": ignored_pairs(self.ignore)}
         more["held"] = read_posture(self.held, "--held")
-        return {"tip": self.tip, "base": self.base, "srdf": self.srdf, "packages": self.packages, **more}
+        return {"tip": tip, "base": self.base, "srdf": self.srdf, "packages": self.packages, **more}
 
 
 @dataclasses.dataclass(kw_only=True)

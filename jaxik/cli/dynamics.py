@@ -7,7 +7,7 @@ import dataclasses
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import numpy as np
@@ -43,6 +43,7 @@ class DynamicsArguments(RobotArguments):
     """The torques that a motion takes of each joint, those that hold the arm among them, and the power; of a robot whose drives
     are known also friction, and of known motors the currents."""
 
+    SEVERAL: ClassVar[bool] = True
     robot: tyro.conf.Positional[str]
     """A shipped model or a robot file with masses and inertias (.urdf, .xml, .toml)."""
     motion: tyro.conf.Positional[Path]
@@ -67,6 +68,8 @@ class DynamicsArguments(RobotArguments):
             check_writable(self.plot, "--plot", (".png", ".pdf", ".svg"))
         if not np.isfinite(self.gravity).all():
             raise ValueError(f"--gravity {' '.join(map(str, self.gravity))}: finite numbers [m/s2]")
+        if self.load and len(self.tip) > 1:
+            raise ValueError(f"--load {self.load:g}: hangs at one tip; name --tip once")
         robot = jaxik.load(self.robot, **self.loading())
         robot = robot.with_load(self.load, com=np.zeros(3), inertia=np.zeros((3, 3))) if self.load else robot
         found = read_motion(check_ending("dynamics", self.motion), robot.joint_names)

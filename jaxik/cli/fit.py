@@ -6,6 +6,7 @@ import dataclasses
 import math
 import time
 from pathlib import Path
+from typing import ClassVar
 
 import tyro
 
@@ -31,6 +32,7 @@ LEFT = {
 class FitArguments(RobotArguments):
     """Convex parts of a robot's collision meshes, and capsules around them: how close they come, and a file with them."""
 
+    SEVERAL: ClassVar[bool] = True
     robot: tyro.conf.Positional[str]
     """A robot file with meshes (.urdf, .xml)."""
     accuracy: float = 1e3 * jaxik.FitOptions().accuracy

@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import time
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 import jaxik
 from jaxik.cli.arguments import SearchArguments, flags, given
-from jaxik.cli.results import check_writable, writing
+from jaxik.cli.results import check_writable, tip_columns, write_csv, writing
 from jaxik.cli.terminal import Unsolved
 from jaxik.planning import PlanOptions, PlanResult
 from jaxik.planning.trajectory_files import ENDINGS
@@ -35,6 +36,7 @@ FLAGS = flags(
 class PlanArguments(FLAGS, SearchArguments):
     """A motion from one configuration to another, proven free of collision, timed within the joints' limits."""
 
+    SEVERAL: ClassVar[bool] = True
     start: tuple[float, ...]
     """The joints' values at the start [rad, m]."""
     goal: tuple[float, ...]
@@ -45,12 +47,16 @@ class PlanArguments(FLAGS, SearchArguments):
     """Between samples of the file [s]."""
     out: Path = Path("motion.csv")
     """The motion: .csv, .npz, or .json with the fields of ROS' JointTrajectory."""
+    poses: Path | None = None
+    """Where the tips are along it, too (.csv): time, and of each tip x, y, z [m] and qw, qx, qy, qz in the robot's base."""
 
     def run(self) -> None:
         """Load, plan, write, and end with one line. Raises `Unsolved` where there is no motion, with the reason."""
         if not 0.0 < self.dt < np.inf:
             raise ValueError(f"--dt {self.dt:g}: it is above zero [s]")
         check_writable(self.out, endings=ENDINGS)
+        if self.poses is not None:
+            check_writable(self.poses, "--poses", (".csv",))
         if self.without and self.scene is None:
             raise ValueError(f"--without {' '.join(self.without)}: there is no scene to leave it out of; give --scene")
         robot = jaxik.load(self.robot, **self.loading())
@@ -71,6 +77,11 @@ class PlanArguments(FLAGS, SearchArguments):
             jaxik.planning.save_trajectory(moved.trajectory, aside, dt=self.dt)
         lasts, corners = moved.trajectory.duration, len(moved.waypoints) - 2
         print(f"{lasts:.2f} s around {corners} corners, planned in {seconds:.2f} s; {wrote}")
+        if self.poses is not None:
+            state = moved.trajectory.sample(self.dt)
+            with writing(self.poses, "--poses") as (aside, drew):
+                write_csv(aside, {"time": state.time} | tip_columns(robot, state.q))
+            print(drew)
 
     def _why(self, moved: PlanResult) -> str:
         """The reason, with the joint that is beyond its limits most, or the pair that collides, at the start or the goal."""

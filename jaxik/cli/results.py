@@ -10,10 +10,14 @@ import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from jaxik.ik.solve import IKResult
+from jaxik.kinematics.forward import forward_kinematics
+from jaxik.kinematics.robot import Robot
 from jaxik.reasons import Reason
+from jaxik.spatial.rotations import to_wxyz
 
 LOOKED = 32  # colliding postures that are asked what they collide with
 UNITS = {"angle": "rad", "clearance": "m", "position_error": "m", "rotation_error": "rad"}  # of a table's columns
@@ -25,6 +29,25 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
         writer = csv.writer(file)
         writer.writerow([f"{name} [{UNITS[name]}]" if name in UNITS else name for name in columns])
         writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
+
+
+PLACE = ("x", "y", "z", "qw", "qx", "qy", "qz")  # of a pose's columns, as files of targets have them
+
+
+def tip_columns(robot: Robot, q: np.ndarray) -> dict[str, np.ndarray]:
+    """The poses of the tips in the base at configurations q (i, n), as columns in metres and quaternions; of several tips a
+    group of columns each, by their names."""
+    with jax.enable_x64(True):
+        poses = np.asarray(jax.jit(jax.vmap(lambda q: forward_kinematics(robot, q)))(np.asarray(q, np.float64)))
+    if poses.ndim == 3:
+        return _placed("", poses)
+    groups = [_placed(f"{name}_", poses[:, i]) for i, name in enumerate(robot.tip_names)]
+    return {name: values for group in groups for name, values in group.items()}
+
+
+def _placed(prefix: str, poses: np.ndarray) -> dict[str, np.ndarray]:
+    columns = np.concatenate([poses[:, :3, 3], to_wxyz(poses[:, :3, :3])], axis=1)
+    return {f"{prefix}{name}": values for name, values in zip(PLACE, columns.T, strict=True)}
 
 
 @contextlib.contextmanager

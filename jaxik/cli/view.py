@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import ClassVar
 
 import tyro
 
@@ -17,6 +18,7 @@ from jaxik.harvesting import plan_harvest
 class ViewArguments(ShapedRobotArguments):
     """A page in the browser: the robot with joints to drag, the scene, a sweep's map, each fruit's posture and the motions."""
 
+    SEVERAL: ClassVar[bool] = True
     robot: tyro.conf.Positional[str] = "p6r"
     """A shipped model or a robot file (.urdf, .xml, .toml)."""
     scene: str | None = None
@@ -40,6 +42,8 @@ class ViewArguments(ShapedRobotArguments):
 
         if not 1 <= self.port <= 65535:
             raise ValueError(f"--port {self.port}: it is from 1 to 65535")
+        if self.teleop and len(self.tip) > 1:
+            raise ValueError("--teleop: steers one tip; name --tip once")
         how = self.loading()
         robot = jaxik.load(self.robot, **how)
         harvest = self.harvest or self.motions

@@ -108,7 +108,8 @@ def way_up(
     while way[-1] != base and way[-1] in above:
         way.append(above[way[-1]])
         if len(way) > len(names):
-            raise LoadError(file, f"{one} '{way[-1]}'", "the joints form a loop", "a robot needs a tree")
+            mend = f"a robot needs a tree: cut the joint between '{shown(above[way[-1]])}' and it"
+            raise LoadError(file, f"{one} '{way[-1]}'", "the joints form a loop", mend)
     if base not in (way[-1], None):
         raise LoadError(file, f"tip '{tip}'", f"is not below base '{base}'", f"its root is '{way[-1]}'")
     return way

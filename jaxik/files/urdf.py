@@ -53,6 +53,10 @@ def load_urdf(
     above = {child: parent for child, (_, parent) in joints.items()}
     moves = base if base in MOVING_BASES and base not in links else None
     ways = ways_of(path, [*links], above, tip, None if moves else base, fingers=_fingers(joints) if tip.names is None else ())
+    if base is None or moves:
+        apart = [n for n in links if n not in above and n != ways.root and _is_something(n, links, above)]
+        if apart:
+            notes.add("no joint leads there, and what hangs on it is left out; join it by a fixed joint, or name base=", *apart)
     ways = _below_floating(joints, ways) if moves else ways
     run = [(above[link], _joint(path, joints[link][0], link, notes)) for link in ways.below]
     aside = [(above[link], _joint(path, joints[link][0], link, notes, beside=True)) for link in carried_links(above, ways)]
@@ -85,6 +89,11 @@ def _fingers(joints: Joints) -> set[str]:
     while more := {child for child, (_, parent) in joints.items() if parent in found} - found:
         found |= more
     return found
+
+
+def _is_something(name: str, links: dict[str, Element], above: dict[str, str]) -> bool:
+    """Whether a link has a shape, or others hang on it."""
+    return name in above.values() or links[name].find("collision") is not None
 
 
 def _below_floating(joints: Joints, ways: Ways) -> Ways:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxik.checks.arrays import check_known, numbers
 from jaxik.checks.options import no_such, shown
 from jaxik.kinematics.named import Group
-from jaxik.kinematics.robot import Body, Robot, known_parts, link_geometry
+from jaxik.kinematics.robot import Body, Robot, known_parts, link_geometry, moving
 from jaxik.kinematics.shapes import ConvexPart, Surface, Volume
 from jaxik.kinematics.tree import BASE_ROW, Mimic
 from jaxik.spatial.rotations import about, frame
@@ -61,8 +61,8 @@ def branch_to(robot: Robot, tip: str, *, q: Any = None) -> Robot:
 
     Raises `ValueError` for a name that is no link, and for a link that no joint moves.
     """
-    alone, tree = robot.with_tips(tip), robot.tree
-    on_way = {tree.joints[row] for row in tree.way(alone.tips[0])}
+    alone = robot.with_tips(tip)
+    on_way = moving(robot, alone.tips[0])
     rest = np.clip(0.0, robot.lower, robot.upper) if q is None else numbers("branch_to: q", q, (robot.num_joints,), finite=True)
     if not on_way:
         raise ValueError(f"branch_to: no joint of {robot.name} moves '{shown(tip)}'; choose another link")

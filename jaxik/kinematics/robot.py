@@ -462,6 +462,11 @@ def steiner(mass: Any, arm: Any) -> Any:
     return mass * (arm @ arm * np.eye(3) - arm[:, None] * arm)
 
 
+def moving(robot: Robot, number: int) -> set[int]:
+    """The joints, counted from 0, that move what a row moves, counted from 1 (0: the base, which none does)."""
+    return {robot.tree.joints[row] for row in robot.tree.way(number)}
+
+
 def solid_links(robot: Robot) -> list[int]:
     """The links that have collision geometry, from the base on."""
     return sorted({box.link for box in robot.boxes} | {volume.link for volume in robot.volumes})

@@ -243,6 +243,7 @@ def _attributes(study: Study) -> dict[str, Any]:
         **({} if isinstance(study.targets, Postures) else {"coordinates": " ".join(GIVEN)}),
         "mounts": {variant_name(v.index): np.asarray(v.robot.world_T_base).tolist() for v in study.variants},
         "methods": sorted({study.method(v.robot) for v in study.variants}),
+        **({"held": study.held} if study.held else {}),
         "joint_names": {str(v.robot.name): list(v.robot.joint_names) for v in study.variants},
         "joint_types": list(study.variants[0].robot.joint_types),
         "margin": study.margin if study.collision else None,

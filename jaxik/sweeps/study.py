@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import numpy as np
@@ -21,10 +21,9 @@ from jaxik.checks.arrays import numbers
 from jaxik.checks.options import shown
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
-from jaxik.files import load, load_scene
+from jaxik.files import load_scene
 from jaxik.files.robot_toml import UNITS, Table, read_toml
 from jaxik.files.targets import read_targets
-from jaxik.fitting.capsules import FitOptions
 from jaxik.ik.options import IKOptions
 from jaxik.kinematics.reach_bound import millimetres
 from jaxik.kinematics.robot import Robot
@@ -38,13 +37,13 @@ from jaxik.sweeps.motions import Motions, among_scenes, from_starts, read_around
 from jaxik.sweeps.postures import KINDS as POSTURES
 from jaxik.sweeps.postures import read_postures
 from jaxik.sweeps.robot_variants import Variant, all_variants, read_shapes, variant_name
+from jaxik.sweeps.study_robots import file_of, made, read_robots
 from jaxik.sweeps.targets import Targets
 from jaxik.version import __version__
 
-Made = TypeVar("Made")
 KEYS = (
     *("name", "robot", "robots", "base", "parameters", "collision", "tool", "targets", "ik"),
-    *("seed", "slides", "refine", "chunk", "audited", "origin", "ignore", "motions"),
+    *("seed", "slides", "refine", "chunk", "audited", "origin", "ignore", "motions", "tip", "posture"),
 )
 OWN = ("name", "collision", *fields(PostureOptions), "slides", "refine", "seed", "chunk", "audited")  # described as they are
 IK_KEYS = ("max_seeds", "choice", "seeds", "solutions")
@@ -61,6 +60,9 @@ class Study(PostureOptions, who="study"):
         default=(), words="what varies besides the targets, the name and labels of each"
     )
     targets: Targets = instance(kind=Targets, words="what each variant is asked for")
+    held: dict[str, dict[str, float]] = anything(
+        default={}, words="of each robot of which `tip` chose a branch the joints that are held, and where", unit="rad, m"
+    )
     scene: Scene | None = instance(default=None, kind=Scene, optional=True, words="the obstacles, the same for all targets")
     around: tuple[tuple[str, Scene], ...] = anything(
         default=(), words="the obstacles of each place along an axis of scenes, by its name, in the place of one scene"
@@ -134,6 +136,7 @@ class Study(PostureOptions, who="study"):
             **({"around": {name: _digest(scene) for name, scene in self.around}} if self.around else {}),
             **{name: getattr(self, name) for name in OWN},
             "ik": {name: getattr(self.ik, name) for name in (*IK_KEYS, *TOLERANCES)},
+            **({"held": self.held} if self.held else {}),
             **({} if self.motions is None else {"motions": self.motions.describe()}),
             "versions": {"jaxik": __version__, "jax": jax.__version__, "numpy": np.__version__},
         }
@@ -161,7 +164,7 @@ def _read(table: Table, folder: Path) -> Study:
     given = table.content
     table.only(KEYS)
     table.asked.update(("robot", "robots"))
-    robots = _robots(table, folder)
+    robots, beside = read_robots(table, folder)
     bases, shapes = _bases(table), read_shapes(table)
     axes, variants = all_variants(table, robots, bases, shapes)
     scene, around, wanted = _collision(table, folder)
@@ -169,7 +172,7 @@ def _read(table: Table, folder: Path) -> Study:
     collision = moving or "collision" in given
     tool = table.table("tool")
     held = {name: tuple(tool.array(name, "plain", (3,), usual).tolist()) for name, usual in vars(Grasp()).items()}
-    grasp = _made(tool, "change them", Grasp, **held)
+    grasp = made(tool, "change them", Grasp, **held)
     targets = _targets(table, folder, [v.robot for v in variants], scene, grasp)
     if targets.scenes:  # which are around the targets instead
         scene = None
@@ -187,64 +190,10 @@ def _read(table: Table, folder: Path) -> Study:
     table.close()
     for variant in variants if collision else ():
         mend = "write {file = ..., meshes = true}" if variant.robot.unread_meshes else "or leave [collision] out"
-        _made(table.table("collision"), mend, check_geometry, variant.robot)
+        made(table.table("collision"), mend, check_geometry, variant.robot)
     own: dict[str, Any] = {"variants": variants, "axes": axes, "targets": targets, "scene": scene, "collision": collision}
+    own["held"] = beside
     return Study(name=name, ik=ik, motions=motions, around=around, **own | wanted | counts)
-
-
-def _made(row: Table, mend: str, make: Callable[..., Made], *given: Any, **named: Any) -> Made:
-    """Makes something of a table's values. Where they are refused, so is the table."""
-    try:
-        return make(*given, **named)
-    except ValueError as error:
-        raise row.fail(str(error), mend) from None
-
-
-def _file(folder: Path, source: str) -> str | Path:
-    """A file beside the study, or one of the shipped names."""
-    return folder / source if Path(source).suffix else source
-
-
-def _robots(table: Table, folder: Path) -> list[tuple[str, Robot]]:
-    given = table.content.get("robots", table.content.get("robot"))
-    if given is None or ("robots" in table.content and "robot" in table.content):
-        raise table.fail("no robot" if given is None else "'robot' and 'robots' say the same", 'write robot = "p6r"')
-    found, ignore = [], table.listed("ignore")
-    for i, each in enumerate(given if isinstance(given, list | tuple) else [given]):
-        if isinstance(each, Robot):
-            if ignore:
-                raise table.fail(f"ignore, and robot {i + 1} is a Robot", "load it with ignore=")
-            found.append((each.name, each))
-        elif isinstance(each, str | dict):
-            row = Table(table.path, f"robots {i + 1}", {"file": each} if isinstance(each, str) else each)
-            found.append(_robot(row, folder, ignore))
-        else:
-            raise table.fail(f"robot {i + 1} is {type(each).__name__}", "write a shipped model's name, a file, or a table")
-    if not found or len({label for label, _ in found}) < len(found):
-        raise table.fail("two robots of one name" if found else "no robot", "give each its own: {file = ..., name = ...}")
-    return found
-
-
-def _robot(row: Table, folder: Path, ignore: list[Any]) -> tuple[str, Robot]:
-    """A robot's name in the study, and its robot: the keys are the arguments of `jaxik.load`."""
-    given = row.content
-    row.asked.update(("tip", "base", "srdf", "posture", "tool"))
-    file, meshes = row.text("file"), row.flag("meshes")
-    options: dict[str, Any] = {k: row.text(k) for k in ("tip", "base") if k in given}
-    if "srdf" in given:
-        options["srdf"] = _file(folder, row.text("srdf"))
-    fit = row.table("fit")
-    if fit.content:
-        accuracy = fit.number("accuracy", "length", FitOptions.accuracy)
-        options["fit"] = FitOptions(accuracy=accuracy, most=fit.count("most", FitOptions.most))
-    if "posture" in given:  # where joints beside the chain are held [rad, m]
-        held = row.table("posture")
-        options["posture"] = {joint: held.number(joint, "plain") for joint in held.content}
-    if "tool" in given:
-        options["tool"] = row.array("tool", "plain", (4, 4))
-    label, ignored = row.text("name", Path(file).stem), [*ignore, *row.listed("ignore")]
-    row.close()
-    return label, load(_file(folder, file), meshes=meshes, ignore=ignored, **options)
 
 
 def _bases(table: Table) -> list[tuple[str, np.ndarray]]:
@@ -264,14 +213,14 @@ def _collision(table: Table, folder: Path) -> tuple[Scene | None, tuple[tuple[st
     row.asked.update(("scene", "scenes"))
     scene = row.content.get("scene")
     if scene is not None and not isinstance(scene, Scene):
-        scene = load_scene(_file(folder, row.text("scene")))
-    around = read_around(row, "motions" in table.content, lambda name: load_scene(_file(folder, name)))
+        scene = load_scene(file_of(folder, row.text("scene")))
+    around = read_around(row, "motions" in table.content, lambda name: load_scene(file_of(folder, name)))
     if len(around) == 1:
         scene, around = around[0][1], ()
     units = {name: "length" if field.unit == "m" else "plain" for name, field in fields(PostureOptions).items()}
     number = lambda name: float(row.finite(name, (), unit=units[name], default=getattr(PostureOptions, name)))
     wanted = {name: number(name) for name in units}
-    _made(row, "change it", PostureOptions, **wanted)
+    made(row, "change it", PostureOptions, **wanted)
     return scene, around, wanted
 
 
@@ -286,7 +235,7 @@ def _ik(table: Table, targets: Targets, margin: float | None) -> IKOptions:
             raise row.fail(f"{key} = {chosen[key]:g}", "write a number > 0")
     chosen |= {"collision": False} if margin is None else {"margin": margin}
     task = Task.position() if targets.free_rotation else default.task
-    return _made(row, "change it", IKOptions, task=task, **chosen)
+    return made(row, "change it", IKOptions, task=task, **chosen)
 
 
 def _targets(table: Table, folder: Path, robots: list[Robot], scene: Scene | None, grasp: Grasp) -> Targets:
@@ -332,7 +281,7 @@ def _scenes(row: Table, folder: Path, scene: Scene | None) -> list[Scene]:
     for each in [scene] if scene is not None else listed:
         if not isinstance(each, Scene | str):
             raise row.fail(f"a scene is {type(each).__name__}", "write a shipped scene's name, a file, or a Scene")
-        found.append(each if isinstance(each, Scene) else load_scene(_file(folder, each)))
+        found.append(each if isinstance(each, Scene) else load_scene(file_of(folder, each)))
         if not found[-1].marks:
             raise row.fail(f"scene '{found[-1].name}' has no mark", "write [[mark]] with a name and a position")
     return found
@@ -343,7 +292,7 @@ def _given_targets(row: Table, folder: Path, frame: str, grasp: Grasp) -> Target
     known = row.content.get("poses")
     if known is not None and "path" in row.content:
         raise row.fail("path and poses say the same", "keep one")
-    poses = read_targets(folder / row.text("path")) if known is None else _made(row, WRITTEN, numbers, "poses", known)
+    poses = read_targets(folder / row.text("path")) if known is None else made(row, WRITTEN, numbers, "poses", known)
     if poses.shape[1:] in ((4, 4), (7,)):
         return Targets("file", frame, np.zeros((0, 3, 3)), poses=poses)
     if poses.ndim == 2 and poses.shape[1] == 3:

@@ -1,7 +1,8 @@
 """Pictures, and a page in the browser (extra `[view]`)."""
 
+from jaxik.view.base_picture import plot_base_poses
 from jaxik.view.page import Page
 from jaxik.view.pictures import plot_harvest, plot_harvest_plan, plot_torques
 from jaxik.view.sweep_picture import plot_sweep
 
-__all__ = ["Page", "plot_harvest", "plot_harvest_plan", "plot_sweep", "plot_torques"]
+__all__ = ["Page", "plot_base_poses", "plot_harvest", "plot_harvest_plan", "plot_sweep", "plot_torques"]

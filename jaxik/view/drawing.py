@@ -83,7 +83,7 @@ class RobotDrawing:
         for switch in (self.shape, self.volumes):
             switch.on_update(used)
         self._style()
-        self.tip = scene.add_frame("/robot/tip", axes_length=0.08, axes_radius=0.004)
+        self.tips = [scene.add_frame(f"/robot/tip/{i}", axes_length=0.08, axes_radius=0.004) for i in range(len(robot.tips))]
         none = np.zeros((1, 2, 3))
         self.bones = scene.add_line_segments("/robot/bones", none, rgb(INK), thickness=0.008, thickness_units="world")
 
@@ -91,7 +91,8 @@ class RobotDrawing:
         """Each link in its frame; `placed` (m + 1 + k, 4, 4) are those of the base, the joints and the tips."""
         turned = to_wxyz(placed[:, :3, :3])
         self.bones.points = bones(self.robot, placed)
-        self.tip.wxyz, self.tip.position = turned[-1], placed[-1, :3, 3]
+        for tip, turn, at in zip(reversed(self.tips), turned[::-1], placed[::-1], strict=False):
+            tip.wxyz, tip.position = turn, at[:3, 3]
         for link, part in self.parts:
             joint = self.robot.link_joint[link]
             if self.roots[_kind(part)].visible:  # the other ones, when they are shown

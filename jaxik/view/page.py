@@ -22,8 +22,9 @@ from jaxik.view.steering import Steering, ready_posture
 
 HELP = (
     "**Look:** drag to turn, right button to shift, wheel to come nearer.",
-    "**Joints:** the sliders move them. The line at the top says what is nearest to the robot, or what it hits.",
-    "**Target:** drag the arrows and rings at the tip. Inverse kinematics follows, or says why it cannot.",
+    "**Joints:** the sliders move them, by branch where the robot has several tips. The line at the top says what is "
+    "nearest to the robot, or what it hits.",
+    "**Target:** drag the arrows and rings at a tip. Inverse kinematics follows, or says why it cannot; other tips stand.",
     "**Shape:** the robot's own, and the volumes around it that are kept clear. Below are the pairs of links that are not "
     "checked against each other, and why: click one to see it.",
     "**Map:** each point is a place that a sweep has tried. Click one that is reachable to see the posture there.",
@@ -55,10 +56,12 @@ class Page(Stage):
         port: int = 8080,
     ):
         """Serves the page on `host`, `port`; `meshes` are the links' own shapes (`files.link_meshes`). With `teleop` the tip is
-        steered by its target.
+        steered by its target; without, each of several tips has a target.
 
-        Raises `ValueError` without viser, and for a store of another robot.
+        Raises `ValueError` without viser, for a store of another robot, and for several tips with `teleop`.
         """
+        if teleop:
+            robot.only_tip("teleop")
         viser = optional("jaxik view", "viser", "view")
         group = None if store is None else store_of(robot, store)
         q = ready_posture(robot, scene) if teleop else default_pose(robot)

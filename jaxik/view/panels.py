@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from html import escape
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.files.unchecked_pairs import unchecked
-from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.robot import Robot, moving
 from jaxik.kinematics.shapes import Unchecked
 from jaxik.view.palette import LEFT_OUT
 
@@ -20,12 +21,18 @@ class Sliders:
     def __init__(self, gui: Any, robot: Robot, q: np.ndarray, moved: Callable[[int, float], Any]):
         self.limits, self.moved, slides = np.array(robot.finite_limits), moved, np.array(robot.is_prismatic)
         self._factor, self._digits = np.where(slides, 1.0, np.degrees(1.0)), np.where(slides, 3, 1).tolist()
-        self.each = []
-        for i, (name, digits) in enumerate(zip(robot.joint_names, self._digits, strict=True)):
-            low, high, value = (round(float(self._factor[i] * x), digits) for x in (*self.limits[:, i], q[i]))
-            slider = gui.add_slider(f"{name} [{'m' if slides[i] else 'deg'}]", low, high, 10.0**-digits, value)
-            slider.on_update(lambda event, i=i: self._slid(event, i))
-            self.each.append(slider)
+        made, units = dict[int, Any](), np.where(slides, "m", "deg")
+        for branch, joints in branches(robot).items():
+            with gui.add_folder(branch) if branch else contextlib.nullcontext():
+                made |= {i: self._slider(gui, f"{robot.joint_names[i]} [{units[i]}]", i, q[i]) for i in joints}
+        self.each = [made[i] for i in range(robot.num_joints)]
+
+    def _slider(self, gui: Any, words: str, i: int, value: float) -> Any:
+        digits = self._digits[i]
+        low, high, now = (round(float(self._factor[i] * x), digits) for x in (*self.limits[:, i], value))
+        slider = gui.add_slider(words, low, high, 10.0**-digits, now)
+        slider.on_update(lambda event: self._slid(event, i))
+        return slider
 
     def show(self, q: np.ndarray) -> None:
         """Puts the sliders at q (n,) [rad, m]."""
@@ -36,6 +43,18 @@ class Sliders:
     def _slid(self, event: Any, i: int) -> None:
         if event.client is not None:  # a person, not `show`
             self.moved(i, np.clip(self.each[i].value / self._factor[i], *self.limits[:, i]))  # the slider's ends are rounded
+
+
+def branches(robot: Robot) -> dict[str, list[int]]:
+    """The numbers of the joints by branch: those that move one tip alone by its name, those of several by theirs, and those
+    that move none. All by "" where there is one tip, which all joints move."""
+    found: dict[str, list[int]] = {}
+    moved = [moving(robot, number) for number in robot.tips]
+    names = robot.tip_names or ("",) * len(moved)
+    for i in range(robot.num_joints):
+        tips = [name for name, joints in zip(names, moved, strict=True) if i in joints]
+        found.setdefault(" and ".join(tips) or "beside the way to the tip", []).append(i)
+    return {"": [*range(robot.num_joints)]} if len(found) == 1 else found
 
 
 NONE = "pair: none"
@@ -94,7 +113,7 @@ def unchecked_groups(robot: Robot) -> dict[str, list[Unchecked]]:
     for pair in unchecked(robot):
         row: Any = why.get(frozenset(pair))
         first, second = (robot.link_joint[robot.link_names.index(name)] for name in pair)
-        beside = abs(first - second) <= 1  # one joint is between them, whose bearings touch
+        beside = robot.tree.distance(first, second) <= 1  # one joint is between them, whose bearings touch
         reason = "" if row is None else "beside" if row.reason == "touches" and beside else row.reason
         groups[reason].append(row or Unchecked(pair, "named"))
     return {reason: sorted(rows, key=lambda row: -row.depth) for reason, rows in groups.items() if rows}

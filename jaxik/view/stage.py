@@ -17,7 +17,7 @@ from jaxik.files.targets import as_frames
 from jaxik.fitting.links import Shape
 from jaxik.ik.options import IKOptions
 from jaxik.ik.solve import solve_ik
-from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.robot import Robot, moving
 from jaxik.kinematics.task import POSE, POSITION, Task
 from jaxik.reasons import Reason
 from jaxik.spatial.rotations import to_wxyz
@@ -45,6 +45,17 @@ class Latest:
                     self._newest.pop()()
             finally:
                 self._guard.release()
+
+
+def held_for(robot: Robot, tip: int) -> list[str]:
+    """The joints that stand while one of several tips is moved: those that do not move it, and those that move others, too,
+    unless it has none of its own. None of a robot with one tip."""
+    if len(robot.tips) == 1:
+        return []
+    every = [moving(robot, number) for number in robot.tips]
+    shared = set().union(*(joints for other, joints in enumerate(every) if other != tip))
+    own = (every[tip] - shared) or every[tip]
+    return [name for i, name in enumerate(robot.joint_names) if i not in own]
 
 
 class Stage:
@@ -98,18 +109,22 @@ class Stage:
         """Says what is near to the robot where it is, and puts the sliders there."""
         return self._draw(follow=False)
 
-    def reach(self, world_T_tip: np.ndarray) -> Reason:
-        """Brings the tip to a pose (4, 4), by the posture next to the one shown; where there is none, says why."""
+    def reach(self, world_T_tip: np.ndarray, tip: int = 0) -> Reason:
+        """Brings the tip, of several that of a number, to a pose (4, 4), by the posture next to the one shown; where there is
+        none, says why. Joints that do not move it are held, and those that move others, too, where it has some of its own."""
         base_T_tip = np.linalg.inv(np.asarray(self.robot.world_T_base)) @ world_T_tip
-        near = IKOptions(task=self.task, reference=self._q, seeds="near", max_seeds=32)
+        robot = self.robot if len(self.gizmos) == 1 else self.robot.with_tips(self.robot.tip_names[tip])
+        still = dict(zip(robot.joint_names, np.clip(self._q, robot.lower, robot.upper).tolist(), strict=True))
+        locked = {name: still[name] for name in held_for(self.robot, tip)}
+        near = IKOptions(task=self.task, reference=self._q, seeds="near", max_seeds=32, locked=locked)
         if self.clear.value and not self.blind:
-            found = solve_ik(self.robot, base_T_tip, scene=self.scene, options=near)
+            found = solve_ik(robot, base_T_tip, scene=self.scene, options=near)
         else:
-            found = solve_ik(self.robot, base_T_tip, options=near, collision=False)
+            found = solve_ik(robot, base_T_tip, options=near, collision=False)
         reason = Reason(int(found.reason))
         if found.success:
             self._q = np.array(found.q, float)
-            self._draw(follow=False)
+            self._draw(follow=False, dragged=tip)
             self.said.content = marked(True, "Target reached")
         else:
             first = "".join(f": {c.link} and {c.other}" for c in found.offenders[:1])
@@ -135,19 +150,32 @@ class Stage:
 
     def _target(self) -> None:
         """Arrows and rings at the tip; inverse kinematics follows them."""
-        gui = self.server.gui
-        self.gizmo = self.server.scene.add_transform_controls("/target", scale=0.18, depth_test=False)
+        gui, add = self.server.gui, self.server.scene.add_transform_controls
+        several = np.ndim(self.robot.joint_T_tip) == 3
+        names = [f"/target/{name}" for name in self.robot.tip_names] if several else ["/target"]
+        self.gizmos = [add(name, scale=0.18, depth_test=False) for name in names]
         switch = gui.add_checkbox("target to drag", True)
-        switch.on_update(lambda _: setattr(self.gizmo, "visible", switch.value))
+        switch.on_update(lambda _: self._switched(switch.value))
         kinds = ("position and turn", "position alone")
         self.binds = gui.add_dropdown("it binds", kinds, initial_value=kinds[self.robot.num_joints < 6])
         self.clear = gui.add_checkbox("keep clear", self.scene is not None, visible=self.scene is not None)
         self.said = gui.add_html("")
         if not self.teleop:
-            self.gizmo.on_update(lambda _: self.asked(self._dragged))
+            for tip, gizmo in enumerate(self.gizmos):
+                gizmo.on_update(lambda _, tip=tip: self.asked(lambda: self._dragged(tip)))
 
-    def _dragged(self) -> None:
-        self.reach(as_frames(np.concatenate([self.gizmo.position, self.gizmo.wxyz])[None])[0])
+    @property
+    def gizmo(self) -> Any:
+        """The target of the tip, of several of the first."""
+        return self.gizmos[0]
+
+    def _switched(self, shown: bool) -> None:
+        for gizmo in self.gizmos:
+            gizmo.visible = shown
+
+    def _dragged(self, tip: int) -> None:
+        gizmo = self.gizmos[tip]
+        self.reach(as_frames(np.concatenate([gizmo.position, gizmo.wxyz])[None])[0], tip)
 
     def _slid(self, joint: int, value: float) -> None:
         self._q[joint] = value
@@ -168,13 +196,14 @@ class Stage:
         self.legend.content = boxed(swatches({words: colour for words, colour, some in there if some}))
         self._draw(follow)
 
-    def _draw(self, follow: bool = True) -> tuple[Contact, ...]:
-        """Shows the robot where `q` puts it, the target if it is to `follow`, and what is nearest, which it returns."""
+    def _draw(self, follow: bool = True, dragged: int | None = None) -> tuple[Contact, ...]:
+        """Shows the robot where `q` puts it, the targets if they are to `follow`, or all but one that is `dragged`, and what is
+        nearest, which it returns."""
         contacts = self._contacts()
         hit = frozenset(name for c in contacts if c.distance < 0.0 for name in (c.link, c.other))
         with self.server.atomic():
             self.sliders.show(self._q)
-            self._place(follow)
+            self._place(follow, dragged)
             self.surroundings.draw_hit(hit)
             self.drawing.colour(hit=hit)
             self.surroundings.draw_nearest(contacts)
@@ -182,12 +211,13 @@ class Stage:
                 self.said.content = boxed(STEER if self.teleop else DRAG)
         return contacts
 
-    def _place(self, follow: bool) -> None:
-        """The links where `q` puts them, and the target at the tip if it is to `follow`."""
+    def _place(self, follow: bool, dragged: int | None = None) -> None:
+        """The links where `q` puts them, and the targets at the tips if they are to `follow`, or all but the `dragged` one."""
         placed = frames(self.robot, self._q)
         self.drawing.place(placed)
-        if follow:
-            self.gizmo.wxyz, self.gizmo.position = to_wxyz(placed[-1, :3, :3]), placed[-1, :3, 3]
+        for tip, (gizmo, at) in enumerate(zip(self.gizmos, placed[-len(self.gizmos) :], strict=True)):
+            if follow or (dragged is not None and tip != dragged):
+                gizmo.wxyz, gizmo.position = to_wxyz(at[:3, :3]), at[:3, 3]
 
     def _contacts(self) -> tuple[Contact, ...]:
         """The contacts nearest to the robot, or all that it hits; the panel's first line says so."""

@@ -9,45 +9,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from peers.tree_truth import TreeTruth, tree_tips
-from robot_files import URDF, refused, write
+from robot_files import HANDS, PARTS, TWO, URDF, joint, link, refused, write
 from robots import FOLDER
 
 import jaxik
 from jaxik import dynamics, kinematics
 from jaxik.files.tree_ways import AskedTips
-
-LIMIT = '<limit lower="-2" upper="2" velocity="3" effort="40"/>'
-INERTIAL = """<inertial><origin xyz="0.1 0.02 0.03"/><mass value="{}"/>
-<inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0.001" ixz="0" iyz="0"/></inertial>"""
-
-
-def link(name, mass=1.0):
-    shape = '<collision><origin xyz="0.1 0 0"/><geometry><sphere radius="0.04"/></geometry></collision>'
-    return f'<link name="{name}">{INERTIAL.format(mass)}{shape}</link>'
-
-
-def joint(name, parent, child, kind="revolute", xyz="0.3 0 0", axis="0 0 1", more=""):
-    ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}" rpy="0.2 -0.1 0.3"/>'
-    return f'<joint name="{name}" type="{kind}">{ends}<axis xyz="{axis}"/>{LIMIT}{more}</joint>'
-
-
-# a torso, two arms, of which the left has a hand whose thumb leads two other joints, one by way of the other
-PARTS = {
-    "torso": joint("turn", "base", "torso", xyz="0 0 0.5"),
-    "left": joint("left_shoulder", "torso", "left", xyz="0 0.2 0", axis="0 1 0"),
-    "left_hand": joint("left_wrist", "left", "left_hand", axis="1 0 0"),
-    "right": joint("right_shoulder", "torso", "right", "prismatic", "0 -0.2 0", "0 0.6 0.8"),
-    "right_hand": joint("right_wrist", "right", "right_hand", axis="0 1 0"),
-    "thumb": joint("flex", "left_hand", "thumb", xyz="0.1 0 0"),
-    "finger": joint(
-        "grip", "left_hand", "finger", "prismatic", "0.1 0.05 0", "0 1 0", '<mimic joint="flex" multiplier="-0.5"/>'
-    ),
-    "nail": joint(
-        "curl", "finger", "nail", xyz="0.1 0 0", axis="0 1 0", more='<mimic joint="grip" multiplier="3" offset="0.1"/>'
-    ),
-}
-TWO = f"""<robot name="two">{link("base", 5.0)}{"".join(link(name) for name in PARTS)}{"".join(PARTS.values())}</robot>"""
-HANDS = ["left_hand", "right_hand"]
 
 
 @pytest.fixture
@@ -213,6 +180,24 @@ def test_which_tip_is_meant(two):
 def test_tips_that_are_none(two, tip, words):
     path = write(two.parent, "roots.urdf", TWO.replace("</robot>", f"{link('alone')}</robot>"))
     refused(path, *words, tip=tip)
+
+
+def test_a_second_root_is_told(two):
+    """Unless it is an empty link, which changes nothing, or a base is named."""
+    more = link("table") + link("top") + joint("stand", "table", "top")
+    path = write(two.parent, "two_roots.urdf", TWO.replace("</robot>", f"{more}</robot>"))
+    with pytest.warns(
+        UserWarning, match="'?table'?: no joint leads there, and what hangs on it is left out; join it by a fixed"
+    ):
+        found = jaxik.load(path, tip=HANDS, held={})
+    assert (
+        found.joint_names
+        == jaxik.load(two, tip=HANDS, held={}).joint_names
+        == jaxik.load(path, tip=HANDS, base="base", held={}).joint_names
+    )
+    ring = "".join(map(link, "xyz")) + joint("1", "x", "y") + joint("2", "y", "z") + joint("3", "z", "x")
+    path = write(two.parent, "ring.urdf", f'<robot name="ring">{ring}</robot>')
+    refused(path, "link 'x'", "the joints form a loop", "cut the joint between 'z' and it", tip="x")
 
 
 def test_tips_are_names():

@@ -1,0 +1,91 @@
+"""Several tips, from the shell: a tree where a command takes one, a line where it does not."""
+
+import csv
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from robot_files import HANDS, TWO, write
+
+import jaxik
+from jaxik import cli
+
+TIPS = ("--tip", HANDS[0], "--tip", HANDS[1], "--held", "flex=0.2", "--no-meshes")
+
+
+def call(monkeypatch, *words):
+    monkeypatch.setattr("sys.argv", ["jaxik", *map(str, words)])
+    cli.main()
+
+
+def refused(monkeypatch, capsys, *words):
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as ended:
+        call(monkeypatch, *words)
+    assert ended.value.code == 2
+    return capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_motion_of_two_arms_and_where_their_tips_are(tmp_path, monkeypatch, capsys):
+    file, out, poses = write(tmp_path, "two.urdf", TWO), tmp_path / "motion.csv", tmp_path / "poses.csv"
+    ends = "--start", *[0.0] * 5, "--goal", *[0.3] * 5
+    call(monkeypatch, "plan", file, *TIPS, *ends, "--acceleration", 4, "--out", out, "--poses", poses)
+    rows, motion = (list(csv.DictReader(path.read_text().splitlines())) for path in (poses, out))
+    assert len(rows) == len(motion) > 5
+    model = pin.buildModelFromUrdf(str(file))
+    data, q = model.createData(), pin.neutral(model)
+    for name in ("turn", "left_shoulder", "left_wrist", "right_shoulder", "right_wrist"):
+        q[model.joints[model.getJointId(name)].idx_q] = float(motion[-1][f"q_{name}"])
+    pin.framesForwardKinematics(model, data, q)
+    for hand in HANDS:
+        found = np.array([float(rows[-1][f"{hand}_{k}"]) for k in ("x", "y", "z", "qw", "qx", "qy", "qz")])
+        right = data.oMf[model.getFrameId(hand)]
+        assert np.allclose(jaxik.pose(found[:3], wxyz=found[3:]), right.homogeneous, atol=1e-9)
+    torques = tmp_path / "torques.csv"
+    call(monkeypatch, "dynamics", file, out, *TIPS[:-1], "--out", torques)
+    assert "torque_right_wrist" in torques.read_text().splitlines()[0]
+    line = refused(monkeypatch, capsys, "dynamics", file, out, *TIPS[:-1], "--load", 1)
+    assert line == "jaxik: --load 1: hangs at one tip; name --tip once"
+    call(
+        monkeypatch,
+        "plan",
+        file,
+        *TIPS[:2],
+        *TIPS[4:],
+        "--start",
+        *[0.0] * 3,
+        "--goal",
+        *[0.2] * 3,
+        "--out",
+        out,
+        "--poses",
+        poses,
+    )
+    assert poses.read_text().splitlines()[0] == "time,x,y,z,qw,qx,qy,qz"
+
+
+def test_commands_of_one_tip_say_so(tmp_path, monkeypatch, capsys):
+    file = write(tmp_path, "two.urdf", TWO)
+    line = "jaxik: --tip left_hand --tip right_hand: this command moves one tip; name --tip once"
+    for words in (("ik", file, "t.csv"), ("base", file, "t.csv", "--x", 0, 1, 2, "--y", 0, 1, 2), ("harvest", "--robot", file)):
+        assert refused(monkeypatch, capsys, *words, *TIPS) == line
+    assert refused(monkeypatch, capsys, "view", file, *TIPS, "--teleop") == "jaxik: --teleop: steers one tip; name --tip once"
+
+
+def test_where_a_base_must_stand(tmp_path, monkeypatch, capsys):
+    targets, out = tmp_path / "targets.csv", tmp_path / "bases.csv"
+    targets.write_text("x,y,z\n0.5,0.1,0.5\n0.4,-0.2,0.4\n0.1,0.1,30\n")
+    region = "--x", -0.5, 0.5, 2, "--y", -0.5, 0.5, 2, "--headings", 2
+    call(monkeypatch, "base", "ur5e", targets, *region, "--no-collision", "--out", out, "--plot", tmp_path / "floor.png")
+    told = capsys.readouterr().out.splitlines()
+    assert told[0].startswith("  2 targets from x ") and told[-2].startswith("2 of 3 targets from 1 stops; 8 bases, 0 proven")
+    rows = list(csv.DictReader(out.read_text().splitlines()))
+    assert len(rows) == 8 and max(int(row["targets"]) for row in rows) == 2 and rows[0]["x [m]"] == "-0.25"
+    assert (tmp_path / "floor.png").exists()
+    call(monkeypatch, "base", "ur5e", targets, *region, "--no-collision", "--out", tmp_path / "bases.npz")
+    with np.load(tmp_path / "bases.npz", allow_pickle=False) as arrays:
+        assert arrays["seen"].shape == (8, 3) and not arrays["seen"][:, 2].any() and arrays["proven"][:, 2].all()
+    with pytest.raises(SystemExit, match="1"):
+        call(monkeypatch, "base", "ur5e", targets, "--x", 8, 9, 2, *region[4:], "--out", out)
+    assert "no base of the region sees a target: out of reach" in capsys.readouterr().err
+    assert "write (from, to, count)" in refused(monkeypatch, capsys, "base", "ur5e", targets, "--x", 1, 0, 2, *region[4:])
