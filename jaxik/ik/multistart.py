@@ -43,12 +43,14 @@ UNLIMITED = 16  # seeds for the question whether it was the limits
 
 
 class Outcome(NamedTuple):
-    """The end of a search: a `Reason` a target, all answers, postures that only collide, and the nearest misses."""
+    """The end of a search: a `Reason` a target, all answers, postures that only collide, the nearest misses; and which task has
+    the reason, where that is known, -1 elsewhere."""
 
     reason: np.ndarray
     found: Found
     stuck: Found
     missed: Found
+    task: np.ndarray | None = None
 
 
 class Wave(NamedTuple):
@@ -88,7 +90,7 @@ def search(problem: Problem) -> Outcome:
 def _searched_for(problem: Problem, valid: np.ndarray) -> Outcome:
     """Finds answers for the `valid` targets (N,), by the problem's own scene throughout."""
     none, misses = nothing(problem), Misses(problem)
-    reason = np.where(valid, np.where(_out_of_reach(problem), Reason.OUT_OF_REACH, OPEN), Reason.INVALID)
+    reason = np.where(valid, np.where((beyond_reach(problem) > 0.0).any(axis=1), Reason.OUT_OF_REACH, OPEN), Reason.INVALID)
     answers, blocked = [none], [none]
 
     def note(free: Found, hit: Found = none) -> None:
@@ -107,7 +109,7 @@ def _searched_for(problem: Problem, valid: np.ndarray) -> Outcome:
         if not problem.alone and _is_known(problem):
             problem, stages = _of_the_rest(problem)
     if OPEN in reason:
-        refinement.compile_finisher(refinement.settling(problem), problem.robot.num_joints)
+        refinement.compile_finisher(refinement.settling(problem), *problem.shapes)
     for number, waves in enumerate(stages if OPEN in reason else ()):
         worth = misses.close(reason) if number else np.ones(len(reason), bool)
         while waves and len(left := np.flatnonzero(worth & (reason == OPEN))):
@@ -156,13 +158,18 @@ def _is_known(problem: Problem) -> bool:
     return solver_of(problem.robot).proves
 
 
-def _out_of_reach(problem: Problem) -> np.ndarray:
-    task = problem.options.task
-    if len(task.positions) < 3:
-        return np.zeros(len(problem.poses), bool)
-    bound = reach_bound(problem.robot, len(task.rotations) == 3)
-    slack = problem.tolerance @ [1.0, np.linalg.norm(bound.tip_p)]  # a turn of the tip moves the point that is bounded
-    return bound.excess(problem.poses) > 1e-9 + slack
+def beyond_reach(problem: Problem) -> np.ndarray:
+    """How far each task's pose (N, k) lies beyond its tip's reach bound, and what its tolerances leave of that [m]: a positive
+    one is proven to be out of reach."""
+    found = []
+    for task, ends, poses in zip(problem.tasks.each, problem.tasks.ends, problem.tasks.poses(problem.poses), strict=True):
+        if len(task.positions) < 3:
+            found.append(np.full(len(poses), -np.inf))
+            continue
+        bound = reach_bound(problem.robot, len(task.rotations) == 3, ends)
+        slack = problem.tolerance @ [1.0, np.linalg.norm(bound.tip_p)]  # a turn of the tip moves the point that is bounded
+        found.append(bound.excess(poses) - (1e-9 + slack))
+    return np.stack(found, axis=1)
 
 
 @functools.lru_cache(maxsize=64)
@@ -199,7 +206,7 @@ def _search_wave(problem: Problem, some: np.ndarray, wave: Wave, misses: Misses)
     """Searches `some` targets from the wave's seeds: the answers, and postures that have the pose and collide."""
     target, number = np.repeat(some, wave.size), np.tile(np.arange(wave.first, wave.last), len(some))
     start = _starts(problem, some, wave.first, wave.last).reshape(len(target), -1)
-    return refinement.searched(problem, candidates(start, target, number), wave.steps, misses)
+    return refinement.searched(problem, candidates(start, target, number, len(problem.tasks.each)), wave.steps, misses)
 
 
 def _starts(problem: Problem, some: np.ndarray, first: int, last: int) -> np.ndarray:
@@ -214,7 +221,7 @@ def _starts(problem: Problem, some: np.ndarray, first: int, last: int) -> np.nda
     if problem.strategy == "closed_form":
         return seeds.branches(robot, *numbers, problem.poses[some])
     if problem.strategy == "library":
-        return seeds.library(robot, problem.options.task, problem.unit, *numbers, problem.poses[some])
+        return seeds.library(robot, problem.tasks, problem.unit, *numbers, problem.poses[some])
     each = (seeds.low_discrepancy if problem.strategy == "low_discrepancy" else seeds.uniforms)(*numbers)
     return np.broadcast_to(each, (len(some), *each.shape))
 
