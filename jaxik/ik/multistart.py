@@ -72,8 +72,8 @@ def search(problem: Problem) -> Outcome:
     """Finds answers for the targets without a fault, or reasons."""
     valid = problem.fault == 0
     if not (problem.alone and problem.first_will_do):
-        return _searched_for(problem, valid)
-    blind = _searched_for(dataclasses.replace(problem, scene=None), valid)
+        return searched_for(problem, valid)
+    blind = searched_for(dataclasses.replace(problem, scene=None), valid)
     first = blind.found.rows(top(blind.found.target, -blind.found.seed, 1))
     free, stuck = judged(problem, first)
     blind = Outcome(blind.reason, free, stuck, cleared(problem, blind.missed))
@@ -81,17 +81,17 @@ def search(problem: Problem) -> Outcome:
         return blind
     again = np.zeros(len(valid), bool)
     again[stuck.target] = True
-    rest = _searched_for(problem, again)
+    rest = searched_for(problem, again)
     reason = np.where(again, np.where(rest.reason == SOLVED, SOLVED, Reason.COLLISION), blind.reason)
     stuck = stuck.rows(reason[stuck.target] != SOLVED)
     return Outcome(reason, Found.joined([free, rest.found]), Found.joined([stuck, rest.stuck]), blind.missed)
 
 
-def _searched_for(problem: Problem, valid: np.ndarray) -> Outcome:
-    """Finds answers for the `valid` targets (N,), by the problem's own scene throughout."""
+def searched_for(problem: Problem, valid: np.ndarray, stuck: Found | None = None) -> Outcome:
+    """Finds answers for the `valid` targets (N,), by the problem's own scene throughout. `stuck` are postures that collide."""
     none, misses = nothing(problem), Misses(problem)
     reason = np.where(valid, np.where((beyond_reach(problem) > 0.0).any(axis=1), Reason.OUT_OF_REACH, OPEN), Reason.INVALID)
-    answers, blocked = [none], [none]
+    answers, blocked = [none], [none if stuck is None else stuck]
 
     def note(free: Found, hit: Found = none) -> None:
         answers.append(free)
@@ -99,8 +99,8 @@ def _searched_for(problem: Problem, valid: np.ndarray) -> Outcome:
         reason[free.target] = SOLVED
 
     def still_blocked() -> Found:
-        stuck = Found.joined(blocked)
-        return stuck.rows(reason[stuck.target] == OPEN)
+        hit = Found.joined(blocked)
+        return hit.rows(reason[hit.target] == OPEN)
 
     asked, waves = problem, _waves(problem.options.max_seeds, problem.first_will_do, problem.scene is not None)
     stages = [waves]

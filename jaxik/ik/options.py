@@ -29,7 +29,7 @@ class IKOptions(field.Options, who="solve_ik"):
     it has no derivative.
     """
 
-    task: Task | tuple[Task, ...] = field.instance(
+    task: Any = field.instance(
         default=POSE,
         kind=Task,
         several=True,

@@ -198,6 +198,39 @@ class Problem:
         own = {name: getattr(self, name)[rows] for name in ("poses", "fault", "faulty", "tolerance")}
         return dataclasses.replace(self, **own, reference=reference)
 
+    def of_arm(
+        self, arm: Robot, tasks: Tasks, poses: np.ndarray, limits: Any, reference: np.ndarray | None, solutions: int | str
+    ) -> Problem:
+        """The problem of a part of the robot: an arm with joints of these limits and reference (N, n), which is asked for so
+        many answers, and can hit nothing."""
+        locked = {name: value for name, value in self.options.locked.items() if name in arm.joint_names}
+        free: dict[str, Any] = {
+            "reference": None,
+            "cost": None,
+            "weights": None,
+            "choice": "auto",
+        }  # what the problem says itself
+        options = dataclasses.replace(self.options, task=tasks.each[0], locked=locked, solutions=solutions, **free)
+        low, high, weights = limits
+        ranges = (_range(arm, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
+        inside, whole = ranges
+        return dataclasses.replace(
+            self,
+            robot=arm,
+            tasks=tasks,
+            scene=None,
+            options=options,
+            poses=poses,
+            low=low,
+            high=high,
+            weights=weights,
+            inside=inside,
+            whole=whole,
+            unit=sqp_programs.unit_length(arm),
+            strategy=_strategy(arm, options, tasks),
+            reference=reference,
+        )
+
     @property
     def shapes(self) -> tuple[int, int]:
         """The numbers of joints and of tasks."""

@@ -27,7 +27,8 @@ from jaxik.collision.own_shape import own_shapes, told_below
 from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.costs import Cost
-from jaxik.ik.multistart import Outcome, beyond_reach, search
+from jaxik.ik.branches import search
+from jaxik.ik.multistart import Outcome, beyond_reach
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import FAULTS, Poses, Problem, is_looked_at
 from jaxik.ik.solutions import Found, candidates, cleared, far_apart, scores, top, with_turns
@@ -63,8 +64,9 @@ class IKResult(Result):
     iterations the SQP steps from there. solutions (k, n) holds all different answers, best first, NaN where there are no more;
     num_solutions counts them. fault is what makes a target INVALID, a number of `FAULTS`, else 0; `why` says it in words.
 
-    With a list of tips, or of tasks, position_error and rotation_error have a last axis (k,) of theirs, and task is the number of the one that the reason is of, -1 where it is of all or of none. beyond is how far a target lies
-    past what the reach bound of its tip allows [m], 0 where it does not.
+    With a list of tips, or of tasks, position_error and rotation_error have a last axis (k,) of theirs, and task is the number
+    of the one that the reason is of, -1 where it is of all or of none. beyond is how far a target lies past what the reach
+    bound of its tip allows [m], 0 where it does not.
     """
 
     q: Float[np.ndarray, "*b n"]
