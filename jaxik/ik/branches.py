@@ -146,10 +146,8 @@ def _combined(problem: Problem, branches: tuple[Branch, ...], each: list[Found],
     for found in each:
         counts = np.bincount(found.target, minlength=targets)
         more = counts[target]
-        before, number = (
-            np.repeat(np.arange(len(target)), more),
-            np.arange(more.sum()) - np.repeat(np.cumsum(more) - more, more),
-        )
+        before, begins = np.repeat(np.arange(len(target)), more), np.repeat(np.cumsum(more) - more, more)
+        number = np.arange(len(before)) - begins
         rows = np.searchsorted(found.target, target[before]) + number
         target, rank, row = target[before], rank[before] + number, np.column_stack([row[before], rows])
         best = top(target, -rank, most) if most < len(target) else slice(None)

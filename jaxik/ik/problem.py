@@ -163,7 +163,7 @@ class Problem:
             raise ValueError("reference holds NaN or infinity; write a configuration (n,), or one a target (N, n) [rad, m]")
         if choice == "manipulability" and tasks.ends != ((BASE_END, 0),):
             raise ValueError("solve_ik: choice 'manipulability' is of one tip; choose 'closest', 'freedom' or 'comfort'")
-        strategy = _strategy(robot, options, tasks)
+        strategy = _strategy(robot, options.seeds, tasks)
         inside, whole = (_range(robot, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
         around = grouped(scene, robot) if scene is not None else None
         unit = sqp_programs.unit_length(robot)
@@ -199,21 +199,16 @@ class Problem:
         return dataclasses.replace(self, **own, reference=reference)
 
     def of_arm(
-        self, arm: Robot, tasks: Tasks, poses: np.ndarray, limits: Any, reference: np.ndarray | None, solutions: int | str
+        self, arm: Robot, tasks: Tasks, poses: np.ndarray, limits: Any, reference: np.ndarray | None, solutions: Any
     ) -> Problem:
         """The problem of a part of the robot: an arm with joints of these limits and reference (N, n), which is asked for so
         many answers, and can hit nothing."""
+        options = object.__new__(IKOptions)  # checked already, and what is None here the problem says itself
         locked = {name: value for name, value in self.options.locked.items() if name in arm.joint_names}
-        free: dict[str, Any] = {
-            "reference": None,
-            "cost": None,
-            "weights": None,
-            "choice": "auto",
-        }  # what the problem says itself
-        options = dataclasses.replace(self.options, task=tasks.each[0], locked=locked, solutions=solutions, **free)
+        own = {"locked": locked, "solutions": solutions, "reference": None, "cost": None, "weights": None, "choice": "auto"}
+        vars(options).update(vars(self.options) | own)
         low, high, weights = limits
-        ranges = (_range(arm, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
-        inside, whole = ranges
+        inside, whole = (_range(arm, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
         return dataclasses.replace(
             self,
             robot=arm,
@@ -227,7 +222,7 @@ class Problem:
             inside=inside,
             whole=whole,
             unit=sqp_programs.unit_length(arm),
-            strategy=_strategy(arm, options, tasks),
+            strategy=_strategy(arm, options.seeds, tasks),
             reference=reference,
         )
 
@@ -343,11 +338,12 @@ def _shaped(name: str, value: Any, shape: tuple[int, ...], least: int = 0) -> np
     return np.broadcast_to(numbers(name, value, *(shape[k:] for k in range(len(shape) - least, -1, -1))), shape)
 
 
-def _strategy(robot: Robot, options: IKOptions, tasks: Tasks) -> str:
-    if options.seeds not in ("auto", "closed_form"):
-        return options.seeds
+@functools.lru_cache(maxsize=64)
+def _strategy(robot: Robot, asked: str, tasks: Tasks) -> str:
+    if asked not in ("auto", "closed_form"):
+        return asked
     obstacle = closed_form_obstacle(robot) if all(tasks.each[0].bound) else "the task leaves axes free"
-    if options.seeds == "closed_form" and obstacle:
+    if asked == "closed_form" and obstacle:
         raise ValueError(f"{robot.name}: seeds 'closed_form' need the closed form, and {obstacle}")
     # over given values the library leads to more: of 400 goals in a row of plants a UR10e on a rail missed 57 from branches
-    return "library" if obstacle or (options.seeds == "auto" and robot.num_joints > 6) else "closed_form"
+    return "library" if obstacle or (asked == "auto" and robot.num_joints > 6) else "closed_form"

@@ -109,7 +109,8 @@ def tasks_of(who: str, robot: Robot, asked: Asked) -> tuple[Robot, Tasks]:
         check_kind(who, "task", task, Task)
     if not each:
         raise ValueError(f"{who}: task is an empty list; write a jaxik.Task for each target")
-    return (_known_tasks if is_known(robot) else _tasks)(who, robot, each, not isinstance(asked, Task))
+    named = getattr(robot, "_digest", None) is not None or is_known(robot)  # the first is quick
+    return (_known_tasks if named else _tasks)(who, robot, each, not isinstance(asked, Task))
 
 
 def _tasks(who: str, robot: Robot, each: tuple[Task, ...], listed: bool) -> tuple[Robot, Tasks]:
