@@ -220,10 +220,19 @@ def _starts(problem: Problem, some: np.ndarray, first: int, last: int) -> np.nda
     robot, numbers = problem.robot, (problem.inside, problem.seed, first - problem.near, last - problem.near)
     if problem.strategy == "closed_form":
         return seeds.branches(robot, *numbers, problem.poses[some])
+    poses, away = seeds.centred(robot, problem.tasks, problem.poses[some])
     if problem.strategy == "library":
-        return seeds.library(robot, problem.tasks, problem.unit, *numbers, problem.poses[some])
-    each = (seeds.low_discrepancy if problem.strategy == "low_discrepancy" else seeds.uniforms)(*numbers)
-    return np.broadcast_to(each, (len(some), *each.shape))
+        found = seeds.library(robot, problem.tasks, problem.unit, *numbers, poses)
+    else:
+        each = (seeds.low_discrepancy if problem.strategy == "low_discrepancy" else seeds.uniforms)(*numbers)
+        found = np.broadcast_to(each, (len(some), *each.shape))
+    if not away.any():
+        return found
+    found = found.astype(np.float64)
+    held = problem.low == problem.high
+    for joint, by in zip(seeds.sliding_base(robot)[0], away.T, strict=True):
+        found[..., joint] += 0.0 if held[joint] else by[:, None]
+    return found
 
 
 def _beyond_limits(problem: Problem, reason: np.ndarray, misses: Misses) -> np.ndarray:

@@ -25,7 +25,8 @@ from jaxik.analytic.solutions import BRANCHES, closed_form
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
-from jaxik.kinematics.tasks import Tasks
+from jaxik.kinematics.tasks import BASE_END, Tasks
+from jaxik.kinematics.tree import BASE_ROW
 from jaxik.pytree import read_only
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
@@ -88,6 +89,40 @@ def near(inside: Range, seed: int, first: int, last: int, reference: np.ndarray)
     low, high = np.array(inside.low), np.array(inside.high)
     away = uniforms(inside, seed, first, last) - (low + high) / 2.0
     return np.clip(reference[:, None] + width[:, None] * away, low, high)
+
+
+@functools.lru_cache(maxsize=64)
+def sliding_base(robot: Robot) -> tuple[tuple[int, ...], np.ndarray]:
+    """The joints (k,) that slide the whole robot without limits, before anything turns, by their numbers; and where to (k, 3),
+    in the base. A base that moves begins with them."""
+    tree, joints, along, turned, row = robot.tree, [], [], np.eye(3), BASE_ROW
+    while tree.parents.count(row) == 1:
+        row = tree.parents.index(row)
+        joint = tree.joints[row]
+        if not tree.slides[row] or row >= robot.num_joints or tree.joints.count(joint) > 1:
+            break
+        turned = turned @ np.asarray(robot.parent_T_joint[row])[:3, :3]
+        if np.isfinite(robot.lower[joint]) or np.isfinite(robot.upper[joint]):
+            break
+        joints.append(joint)
+        along.append(turned @ np.asarray(robot.axis[row]))
+    return tuple(joints), read_only(np.array(along).reshape(-1, 3))
+
+
+def centred(robot: Robot, tasks: Tasks, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (N, 4, 4) or (N, k, 4, 4) as the robot sees them once its base has slid to where they are, near which all seeds
+    are; and how far each of the joints of `sliding_base` has slid (N, j)."""
+    _, along = sliding_base(robot)
+    each = tasks.poses(poses)
+    placed = [i for i, (end, _) in enumerate(tasks.ends) if end == BASE_END and len(tasks.each[i].positions) == 3]
+    if not len(along) or not placed:
+        return poses, np.zeros((len(poses), len(along)))
+    middle = np.mean([each[i][:, :3, 3] for i in placed], axis=0)
+    away = middle @ np.linalg.pinv(along)
+    moved = np.array(poses)
+    for i in placed:
+        (moved[:, i] if tasks.stacked else moved)[:, :3, 3] -= away @ along
+    return moved, away
 
 
 # --------------------------------------------------------------------------------------------------------------------
