@@ -146,7 +146,9 @@ def test_reasons_say_which_tip():
     np.testing.assert_array_equal(result.task, [-1, 1, 0])
     assert result.why[1].startswith("right_gripper, ") and "past its reach bound" in result.why[1]
     assert "left_gripper: invalid" in result.why[2]
-    far = jaxik.solve_ik(robot, frame([4.0, 0.0, 0.0]), task=Task.pose(tip="right_gripper", relative="left_gripper"), collision=False)
+    far = jaxik.solve_ik(
+        robot, frame([4.0, 0.0, 0.0]), task=Task.pose(tip="right_gripper", relative="left_gripper"), collision=False
+    )
     assert far.reason == Reason.OUT_OF_REACH and 0.5 < far.beyond < 4.0
 
 
