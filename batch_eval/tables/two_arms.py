@@ -19,5 +19,6 @@ def two_arms_markdown(result: dict[str, Any]) -> str:
     seen = result["obstacles"]
     told = f"Among obstacles, clear of each other and of the trunk by their meshes, one call a pair: {seen['solved']} of "
     told += f"{seen['calls']} solved, {seen['wrong']} wrong, {seen['hit by coal']} with links that touch by coal; "
-    told += f"{1e3 * seen['p50']:.1f} ms (p50) and {1e3 * seen['p95']:.1f} ms (p95)."
+    told += f"{1e3 * seen['p50']:.1f} ms (p50) and {1e3 * seen['p95']:.1f} ms (p95), "
+    told += f"of the processor's time {1e3 * seen['processor p50']:.1f} ms and {1e3 * seen['processor p95']:.1f} ms."
     return "\n".join([*lines, "", *textwrap.wrap(told, 130)])

@@ -28,7 +28,7 @@ from jaxik.kinematics.task import Task
 from jaxik.kinematics.tasks import BASE_END, Tasks
 from jaxik.reasons import Reason
 
-SPREAD = 16  # answers of each branch that are tried with those of the others, where the first collide
+SPREAD, SEEDS = 8, 32  # answers of each branch, and their seeds at most, that are tried together where the first ones collide
 TRIED, MOST = 256, 4096  # combinations of a target: tried for one that is free, and returned of all
 BARE = ("bodies", "boxes", "volumes", "self_pairs", "surfaces", "convex_parts", "pair_tables", "drives", "groups", "states")
 WORST = [int(Reason.OUT_OF_REACH), int(Reason.LIMITS), int(Reason.NOT_CONVERGED), SOLVED]  # the first is the reason of all
@@ -63,7 +63,7 @@ def search(problem: Problem) -> Outcome:
         left = (reason == SOLVED) & ~_has(found, len(reason))
         if problem.first_will_do and left.any():
             rows = np.flatnonzero(left)
-            *_, more, _ = _apart(blind.rows(rows), branches, SPREAD)
+            *_, more, _ = _apart(blind.rows(rows), branches, SPREAD, min(SEEDS, problem.options.max_seeds))
             free, hit = judged(problem, more._replace(target=rows[more.target]))
             found, stuck = Found.joined([found, free]), Found.joined([stuck, hit])
         open_ |= left & ~_has(found, len(reason))
@@ -93,10 +93,12 @@ def _has(found: Found, count: int) -> np.ndarray:
     return has
 
 
-def _apart(problem: Problem, branches: tuple[Branch, ...], count: int | str) -> tuple[np.ndarray, np.ndarray, Found, Found]:
-    """Searches each branch for so many answers: the reason of each target (N,) and the task that has it, combinations of the
-    answers, and of the nearest misses."""
-    each = [_problem_of(problem, branch, count) for branch in branches]
+def _apart(
+    problem: Problem, branches: tuple[Branch, ...], count: int | str, seeds: int | None = None
+) -> tuple[np.ndarray, np.ndarray, Found, Found]:
+    """Searches each branch for so many answers, from so many seeds unless it is the user's number. Returns the reason of each
+    target (N,) and the task that has it, combinations of the answers, and of the nearest misses."""
+    each = [_problem_of(problem, branch, count, seeds or problem.options.max_seeds) for branch in branches]
     outcomes = [multistart.search(alone) for alone in each]
     reasons = np.stack([outcome.reason for outcome in outcomes], axis=1)
     rank = np.argmax([(reasons == worst).any(axis=1) for worst in WORST], axis=0)
@@ -160,13 +162,15 @@ def _combined(problem: Problem, branches: tuple[Branch, ...], each: list[Found],
     return candidates(q, target, seed, len(problem.tasks.each))._replace(iterations=steps)
 
 
-def _problem_of(problem: Problem, branch: Branch, count: int | str) -> Problem:
-    """The problem of one branch, with nothing to hit, of which so many answers are asked for."""
+def _problem_of(problem: Problem, branch: Branch, count: int | str, seeds: int) -> Problem:
+    """The problem of one branch, with nothing to hit, of which so many answers are asked for, from so many seeds."""
     own, poses = branch.joints, problem.tasks.poses(problem.poses)
     pose = poses[branch.task] if branch.seen == BASE_END else poses[branch.seen] @ poses[branch.task]
     reference = None if problem.reference is None else problem.reference[:, own]
     limits = problem.low[own], problem.high[own], problem.weights[own]
-    return problem.of_arm(branch.arm, Tasks.alone(problem.tasks.each[branch.task]), pose, limits, reference, count)
+    return problem.of_arm(
+        branch.arm, Tasks.alone(problem.tasks.each[branch.task]), pose, limits, reference, solutions=count, max_seeds=seeds
+    )
 
 
 @functools.lru_cache(maxsize=64)

@@ -199,14 +199,14 @@ class Problem:
         return dataclasses.replace(self, **own, reference=reference)
 
     def of_arm(
-        self, arm: Robot, tasks: Tasks, poses: np.ndarray, limits: Any, reference: np.ndarray | None, solutions: Any
+        self, arm: Robot, tasks: Tasks, poses: np.ndarray, limits: Any, reference: np.ndarray | None, **changes: Any
     ) -> Problem:
-        """The problem of a part of the robot: an arm with joints of these limits and reference (N, n), which is asked for so
-        many answers, and can hit nothing."""
+        """The problem of a part of the robot: an arm with joints of these limits and reference (N, n), which can hit nothing,
+        and `changes` of the options."""
         options = object.__new__(IKOptions)  # checked already, and what is None here the problem says itself
         locked = {name: value for name, value in self.options.locked.items() if name in arm.joint_names}
-        own = {"locked": locked, "solutions": solutions, "reference": None, "cost": None, "weights": None, "choice": "auto"}
-        vars(options).update(vars(self.options) | own)
+        own = {"locked": locked, "reference": None, "cost": None, "weights": None, "choice": "auto"}
+        vars(options).update(vars(self.options) | own | changes)
         low, high, weights = limits
         inside, whole = (_range(arm, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
         return dataclasses.replace(
