@@ -33,7 +33,7 @@ from jaxik.planning.trajectory import JointPath, Trajectory, padded
 from jaxik.planning.ways import LOOKS, blended
 from jaxik.reasons import Reason
 
-EARLY = 30_000  # rounds after which it is asked of an arm of few joints whether there is a way, before they are sought anew
+EARLY = 15_000  # rounds after which it is asked of an arm of few joints whether there is a way, before they are sought anew
 
 
 class PlanOptions(Options, who="plan_motion"):
@@ -53,7 +53,7 @@ class PlanOptions(Options, who="plan_motion"):
     )
     rounds: int = count(
         default=100_000,
-        words="edges that the search tries at most; after 30, 60 and 80 % of them it looks closer, with finer samples",
+        words="rounds of the search at most, sixteen samples each; after 30, 60 and 80 % of them it looks closer",
     )
     timeout: float | None = number(
         default=None,
