@@ -10,7 +10,7 @@ from tables.words import duration
 
 def two_arms_markdown(result: dict[str, Any]) -> str:
     """A row a kind of targets: solved, wrong by Pinocchio, how far off, and the time of one in a batch; then single calls."""
-    heads = "targets", "solved", "wrong", "off by at most", "each, in a batch", "first call"
+    heads = "targets", "solved", "wrong", "off by at most", "each, in a batch", "first call, kernels on disk"
     lines = [f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
     for name, row in (result["free"] | result["trees"]).items():
         off = f"{row['worst']:.0e}" if "worst" in row else ""
