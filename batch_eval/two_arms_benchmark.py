@@ -19,7 +19,7 @@ import numpy as np
 from peers.panda import ROBOTS
 from peers.tree_truth import TreeTruth
 from race import machine, percentiles
-from tables.two_arms import two_arms_markdown
+from tables.tips import tips_markdown
 from tree_benchmark import coal_hits
 
 import jaxik
@@ -85,7 +85,7 @@ def judged(robot: jaxik.Robot, result: Any, apart: np.ndarray) -> dict[str, Any]
 
 
 def timed(solve: Callable[[], Any], count: int) -> dict[str, float]:
-    """The first call [s], with kernels on disk from a run before, and a target of a warm batch, least and median of some rounds [us]."""
+    """The first call [s], with kernels on disk, and a target of a warm batch, least and median of the rounds [us]."""
     start = time.perf_counter()
     solve()
     first, spent = time.perf_counter() - start, []
@@ -188,7 +188,7 @@ def among_obstacles() -> dict[str, Any]:
 def main() -> None:
     result = {"machine": machine(), "free": free_space(), "obstacles": among_obstacles(), "trees": trees()}
     OUT.write_text(json.dumps(result, indent=1) + "\n")
-    print(two_arms_markdown(result))
+    print(tips_markdown(result))
 
 
 if __name__ == "__main__":
