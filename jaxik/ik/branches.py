@@ -46,7 +46,8 @@ class Branch(NamedTuple):
 
 def search(problem: Problem) -> Outcome:
     """`multistart.search`, branch by branch where the tasks share no joint."""
-    branches = branches_of(problem.robot, problem.tasks)
+    serial = problem.robot.tree.serial and not problem.tasks.stacked
+    branches = () if serial else branches_of(problem.robot, problem.tasks)
     if not branches or problem.options.seeds in ("near", "closed_form"):
         return multistart.search(problem)
     count, blind = 1 if problem.most == 1 else problem.options.solutions, problem
@@ -175,10 +176,8 @@ def _problem_of(problem: Problem, branch: Branch, count: int | str, seeds: int) 
 
 @functools.lru_cache(maxsize=64)
 def branches_of(robot: Robot, tasks: Tasks) -> tuple[Branch, ...]:
-    """The branches of tasks that share no joint; none where two do, where a relative task has no such pose to start from, and
-    for a serial arm."""
-    if robot.tree.serial and not tasks.stacked:
-        return ()
+    """The branches of tasks that share no joint; none where two do, and where a relative task has no such pose to start
+    from."""
     seen = [_seen_from(tasks, number) for number in range(len(tasks.each))]
     if None in seen:
         return ()

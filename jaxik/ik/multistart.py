@@ -161,7 +161,7 @@ def _is_known(problem: Problem) -> bool:
 def beyond_reach(problem: Problem) -> np.ndarray:
     """How far each task's pose (N, k) lies beyond its tip's reach bound, and what its tolerances leave of that [m]: a positive
     one is proven to be out of reach."""
-    found = []
+    found: list[np.ndarray] = []
     for task, ends, poses in zip(problem.tasks.each, problem.tasks.ends, problem.tasks.poses(problem.poses), strict=True):
         if len(task.positions) < 3:
             found.append(np.full(len(poses), -np.inf))
@@ -169,7 +169,7 @@ def beyond_reach(problem: Problem) -> np.ndarray:
         bound = reach_bound(problem.robot, len(task.rotations) == 3, ends)
         slack = problem.tolerance @ [1.0, np.linalg.norm(bound.tip_p)]  # a turn of the tip moves the point that is bounded
         found.append(bound.excess(poses) - (1e-9 + slack))
-    return np.stack(found, axis=1)
+    return np.stack(found, axis=1) if problem.tasks.stacked else found[0][:, None]
 
 
 @functools.lru_cache(maxsize=64)

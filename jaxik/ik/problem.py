@@ -76,9 +76,11 @@ class Poses(NamedTuple):
         cleaned, valid = in_blocks(RIGID_POSE, each, double=True)
         fault = np.zeros(len(each), np.int8)
         fault[~valid] = [_fault(pose) for pose in each[~valid]]
+        if not tasks.stacked:
+            return Poses(cleaned, fault, np.zeros(len(fault), int), poses.ndim == len(one))
         by_task = fault.reshape(-1, len(tasks.each))
         faulty = np.argmax(by_task > 0, axis=1)
-        rows = cleaned.reshape(-1, len(tasks.each), 4, 4) if tasks.stacked else cleaned
+        rows = cleaned.reshape(-1, len(tasks.each), 4, 4)
         return Poses(rows, by_task[np.arange(len(by_task)), faulty], faulty, poses.ndim == len(one))
 
     def of_scenes(self, count: int) -> Poses:

@@ -113,9 +113,11 @@ def centred(robot: Robot, tasks: Tasks, poses: np.ndarray) -> tuple[np.ndarray, 
     """Poses (N, 4, 4) or (N, k, 4, 4) as the robot sees them once its base has slid to where they are, near which all seeds
     are; and how far each of the joints of `sliding_base` has slid (N, j)."""
     _, along = sliding_base(robot)
+    if not len(along):
+        return poses, np.zeros((len(poses), 0))
     each = tasks.poses(poses)
     placed = [i for i, (end, _) in enumerate(tasks.ends) if end == BASE_END and len(tasks.each[i].positions) == 3]
-    if not len(along) or not placed:
+    if not placed:
         return poses, np.zeros((len(poses), len(along)))
     middle = np.mean([each[i][:, :3, 3] for i in placed], axis=0)
     away = middle @ np.linalg.pinv(along)
