@@ -184,7 +184,7 @@ def collisions(count: int = 3000, motions: int = 40) -> dict[str, Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         robot = jaxik.load(ROBOTS / file, tip=tips, held={}, meshes=True, srdf=ROBOTS / APART)
-    hits, rng = _coal(ROBOTS / file, robot), np.random.default_rng(0)
+    hits, rng = coal_hits(ROBOTS / file, robot), np.random.default_rng(0)
     q = rng.uniform(robot.lower, robot.upper, (count, robot.num_joints))
     clear = np.asarray(jax.vmap(lambda q: jaxik.clearance(robot, None, q))(q))
     truth, free = np.array([hits(each) for each in q]), q[clear > 0.01]
@@ -204,7 +204,7 @@ def collisions(count: int = 3000, motions: int = 40) -> dict[str, Any]:
     return found
 
 
-def _coal(file: Path, robot: jaxik.Robot) -> Callable[[np.ndarray], bool]:
+def coal_hits(file: Path, robot: jaxik.Robot) -> Callable[[np.ndarray], bool]:
     """Whether the meshes of the pairs of links that a robot checks touch, by coal and Pinocchio."""
     model = pin.buildModelFromUrdf(str(file))
     shapes = pin.buildGeomFromUrdf(model, str(file), pin.GeometryType.COLLISION, package_dirs=[str(ROBOTS.parent.parent)])

@@ -116,12 +116,17 @@ def per_joint(*, default: Any = None, words: str, unit: str = "", lone: bool = T
     return _declared(default, unit, words, lambda who, name, value: positive(f"{who}: {name}{told}", value, lone))
 
 
-def instance(*, default: Any = REQUIRED, words: str, kind: type, optional: bool = False, kw_only: bool = True) -> Any:
-    """An object of a `kind`; or None, where that is `optional`. Unless `kw_only` it may be given by its place."""
+def instance(
+    *, default: Any = REQUIRED, words: str, kind: type, optional: bool = False, several: bool = False, kw_only: bool = True
+) -> Any:
+    """An object of a `kind`; or None, where that is `optional`, or a list of some, where there may be `several`, kept as a
+    tuple. Unless `kw_only` it may be given by its place."""
 
     def kept(who: str, name: str, value: Any) -> Any:
-        check_kind(who, name, value, kind, optional)
-        return value
+        listed = several and isinstance(value, list | tuple) and len(value) > 0
+        for each in value if listed else (value,):
+            check_kind(who, name, each, kind, optional)
+        return tuple(value) if listed else value
 
     return _declared(default, "", words, kept, kw_only=kw_only)
 

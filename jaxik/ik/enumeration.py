@@ -38,7 +38,7 @@ def enumerable(problem: Problem) -> bool:
     options, robot, wanted = problem.options, problem.robot, problem.options.seeds == "closed_form"
     if (problem.scene is not None and not problem.alone) or options.cost is not None or not (wanted or options.seeds == "auto"):
         return False
-    if not wanted and not all(options.task.bound):
+    if problem.tasks.stacked or (not wanted and not all(problem.tasks.each[0].bound)):
         return False
     if not wanted and scan_obstacle(robot):
         return not problem.first_will_do and not options.locked and _without_closed_form(robot) is not None
@@ -71,7 +71,7 @@ def enumerated(problem: Problem, left: np.ndarray) -> Found:
         found = (_first if problem.most == 1 and problem.scene is None else _several)(problem, left)
     if not len(found.q):
         return found
-    away, turned = solve_errors(problem.robot, problem.options.task, found.q, problem.poses[found.target])
+    away, turned = solve_errors(problem.robot, problem.tasks, found.q, problem.poses[found.target])
     found = found._replace(position_error=away, rotation_error=turned)
     return found.rows(solutions.within(found, problem.tolerance))
 

@@ -43,12 +43,14 @@ UNLIMITED = 16  # seeds for the question whether it was the limits
 
 
 class Outcome(NamedTuple):
-    """The end of a search: a `Reason` a target, all answers, postures that only collide, and the nearest misses."""
+    """The end of a search: a `Reason` a target, all answers, postures that only collide, the nearest misses; and which task has
+    the reason, where that is known, -1 elsewhere."""
 
     reason: np.ndarray
     found: Found
     stuck: Found
     missed: Found
+    task: np.ndarray | None = None
 
 
 class Wave(NamedTuple):
@@ -70,8 +72,8 @@ def search(problem: Problem) -> Outcome:
     """Finds answers for the targets without a fault, or reasons."""
     valid = problem.fault == 0
     if not (problem.alone and problem.first_will_do):
-        return _searched_for(problem, valid)
-    blind = _searched_for(dataclasses.replace(problem, scene=None), valid)
+        return searched_for(problem, valid)
+    blind = searched_for(dataclasses.replace(problem, scene=None), valid)
     first = blind.found.rows(top(blind.found.target, -blind.found.seed, 1))
     free, stuck = judged(problem, first)
     blind = Outcome(blind.reason, free, stuck, cleared(problem, blind.missed))
@@ -79,17 +81,17 @@ def search(problem: Problem) -> Outcome:
         return blind
     again = np.zeros(len(valid), bool)
     again[stuck.target] = True
-    rest = _searched_for(problem, again)
+    rest = searched_for(problem, again)
     reason = np.where(again, np.where(rest.reason == SOLVED, SOLVED, Reason.COLLISION), blind.reason)
     stuck = stuck.rows(reason[stuck.target] != SOLVED)
     return Outcome(reason, Found.joined([free, rest.found]), Found.joined([stuck, rest.stuck]), blind.missed)
 
 
-def _searched_for(problem: Problem, valid: np.ndarray) -> Outcome:
-    """Finds answers for the `valid` targets (N,), by the problem's own scene throughout."""
+def searched_for(problem: Problem, valid: np.ndarray, stuck: Found | None = None) -> Outcome:
+    """Finds answers for the `valid` targets (N,), by the problem's own scene throughout. `stuck` are postures that collide."""
     none, misses = nothing(problem), Misses(problem)
-    reason = np.where(valid, np.where(_out_of_reach(problem), Reason.OUT_OF_REACH, OPEN), Reason.INVALID)
-    answers, blocked = [none], [none]
+    reason = np.where(valid, np.where((beyond_reach(problem) > 0.0).any(axis=1), Reason.OUT_OF_REACH, OPEN), Reason.INVALID)
+    answers, blocked = [none], [none if stuck is None else stuck]
 
     def note(free: Found, hit: Found = none) -> None:
         answers.append(free)
@@ -97,8 +99,8 @@ def _searched_for(problem: Problem, valid: np.ndarray) -> Outcome:
         reason[free.target] = SOLVED
 
     def still_blocked() -> Found:
-        stuck = Found.joined(blocked)
-        return stuck.rows(reason[stuck.target] == OPEN)
+        hit = Found.joined(blocked)
+        return hit.rows(reason[hit.target] == OPEN)
 
     asked, waves = problem, _waves(problem.options.max_seeds, problem.first_will_do, problem.scene is not None)
     stages = [waves]
@@ -107,7 +109,7 @@ def _searched_for(problem: Problem, valid: np.ndarray) -> Outcome:
         if not problem.alone and _is_known(problem):
             problem, stages = _of_the_rest(problem)
     if OPEN in reason:
-        refinement.compile_finisher(refinement.settling(problem), problem.robot.num_joints)
+        refinement.compile_finisher(refinement.settling(problem), *problem.shapes)
     for number, waves in enumerate(stages if OPEN in reason else ()):
         worth = misses.close(reason) if number else np.ones(len(reason), bool)
         while waves and len(left := np.flatnonzero(worth & (reason == OPEN))):
@@ -156,13 +158,18 @@ def _is_known(problem: Problem) -> bool:
     return solver_of(problem.robot).proves
 
 
-def _out_of_reach(problem: Problem) -> np.ndarray:
-    task = problem.options.task
-    if len(task.positions) < 3:
-        return np.zeros(len(problem.poses), bool)
-    bound = reach_bound(problem.robot, len(task.rotations) == 3)
-    slack = problem.tolerance @ [1.0, np.linalg.norm(bound.tip_p)]  # a turn of the tip moves the point that is bounded
-    return bound.excess(problem.poses) > 1e-9 + slack
+def beyond_reach(problem: Problem) -> np.ndarray:
+    """How far each task's pose (N, k) lies beyond its tip's reach bound, and what its tolerances leave of that [m]: a positive
+    one is proven to be out of reach."""
+    found: list[np.ndarray] = []
+    for task, ends, poses in zip(problem.tasks.each, problem.tasks.ends, problem.tasks.poses(problem.poses), strict=True):
+        if len(task.positions) < 3:
+            found.append(np.full(len(poses), -np.inf))
+            continue
+        bound = reach_bound(problem.robot, len(task.rotations) == 3, ends)
+        slack = problem.tolerance @ [1.0, np.linalg.norm(bound.tip_p)]  # a turn of the tip moves the point that is bounded
+        found.append(bound.excess(poses) - (1e-9 + slack))
+    return np.stack(found, axis=1) if problem.tasks.stacked else found[0][:, None]
 
 
 @functools.lru_cache(maxsize=64)
@@ -199,7 +206,7 @@ def _search_wave(problem: Problem, some: np.ndarray, wave: Wave, misses: Misses)
     """Searches `some` targets from the wave's seeds: the answers, and postures that have the pose and collide."""
     target, number = np.repeat(some, wave.size), np.tile(np.arange(wave.first, wave.last), len(some))
     start = _starts(problem, some, wave.first, wave.last).reshape(len(target), -1)
-    return refinement.searched(problem, candidates(start, target, number), wave.steps, misses)
+    return refinement.searched(problem, candidates(start, target, number, len(problem.tasks.each)), wave.steps, misses)
 
 
 def _starts(problem: Problem, some: np.ndarray, first: int, last: int) -> np.ndarray:
@@ -213,10 +220,19 @@ def _starts(problem: Problem, some: np.ndarray, first: int, last: int) -> np.nda
     robot, numbers = problem.robot, (problem.inside, problem.seed, first - problem.near, last - problem.near)
     if problem.strategy == "closed_form":
         return seeds.branches(robot, *numbers, problem.poses[some])
+    poses, away = seeds.centred(robot, problem.tasks, problem.poses[some])
     if problem.strategy == "library":
-        return seeds.library(robot, problem.options.task, problem.unit, *numbers, problem.poses[some])
-    each = (seeds.low_discrepancy if problem.strategy == "low_discrepancy" else seeds.uniforms)(*numbers)
-    return np.broadcast_to(each, (len(some), *each.shape))
+        found = seeds.library(robot, problem.tasks, problem.unit, *numbers, poses)
+    else:
+        each = (seeds.low_discrepancy if problem.strategy == "low_discrepancy" else seeds.uniforms)(*numbers)
+        found = np.broadcast_to(each, (len(some), *each.shape))
+    if not away.any():
+        return found
+    found = found.astype(np.float64)
+    held = problem.low == problem.high
+    for joint, by in zip(seeds.sliding_base(robot)[0], away.T, strict=True):
+        found[..., joint] += 0.0 if held[joint] else by[:, None]
+    return found
 
 
 def _beyond_limits(problem: Problem, reason: np.ndarray, misses: Misses) -> np.ndarray:

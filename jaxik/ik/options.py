@@ -29,7 +29,12 @@ class IKOptions(field.Options, who="solve_ik"):
     it has no derivative.
     """
 
-    task: Task = field.instance(default=POSE, kind=Task, words="the components of the tip's pose that a target binds")
+    task: Any = field.instance(
+        default=POSE,
+        kind=Task,
+        several=True,
+        words="the components of the tip's pose that a target binds; a list of tasks, each with its tip, has a target for each",
+    )
     position_tolerance: Any = field.anything(
         default=1e-6, unit="m", words="largest error of an answer; one number, or one a target"
     )

@@ -23,6 +23,7 @@ from jaxik.ik.options import IKOptions
 from jaxik.kinematics.joint_turns import TURN
 from jaxik.kinematics.robot import Robot, finite_range
 from jaxik.kinematics.task import Task
+from jaxik.kinematics.tasks import BASE_END, Tasks
 from jaxik.spatial.rotations import frame
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
@@ -45,39 +46,50 @@ FAULTS = (  # why a target is no pose, by the number in `IKResult.fault`
 
 
 class Poses(NamedTuple):
-    """Targets as poses (N, 4, 4) with orthonormal rotations, the fault of each (N,), a number of `FAULTS`, with the identity in
-    place of what is no pose, and whether a single one was given."""
+    """Targets as poses (N, 4, 4), or (N, k, 4, 4) of several tasks, with orthonormal rotations, the fault of each (N,), a
+    number of `FAULTS`, with the identity in place of what is no pose, which task's pose it is (N,), and whether a single target
+    was given."""
 
     poses: np.ndarray
     fault: np.ndarray
+    faulty: np.ndarray
     single: bool
 
     @staticmethod
-    def of(targets: Any, task: Task) -> Poses:
-        """Takes a pose (4, 4) or poses (N, 4, 4); positions (3,) or (N, 3) for a task that binds no rotation. Raises
-        `ValueError` for other shapes and for traced targets."""
+    def of(targets: Any, asked: Task | Tasks) -> Poses:
+        """Takes a pose (4, 4) or poses (N, 4, 4), or (k, 4, 4) and (N, k, 4, 4) of a list; positions (3,) in place of poses for
+        tasks that bind no rotation. Raises `ValueError` for other shapes and for traced targets."""
         if isinstance(targets, jax.core.Tracer):
             mend = "jit or vmap jaxik.ik.descend_ik, or differentiate an answer by jaxik.implicit_ik"
             raise ValueError(f"solve_ik: targets are traced, and it is a driver on the host; {mend}")
-        array = numbers("targets", targets)
-        poses = frame(array) if not task.rotations and array.ndim in (1, 2) and array.shape[-1] == 3 else array
-        if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
-            also = " or positions (3,), (N, 3)" if not task.rotations else ""
-            mend = MENDS.get(array.shape[-1], "") if array.ndim in (1, 2) else ""
-            raise ValueError(f"targets have shape {array.shape}; allowed: poses (4, 4) or (N, 4, 4){also}{mend}")
+        tasks = Tasks.alone(asked) if isinstance(asked, Task) else asked
+        array, one, turned = numbers("targets", targets), tasks.shape, any(task.rotations for task in tasks.each)
+        ranks = len(one), len(one) + 1
+        poses = frame(array) if not turned and array.ndim + 1 in ranks and array.shape[-1] == 3 else array
+        if poses.ndim not in ranks or poses.shape[-len(one) :] != one:
+            said = ", ".join(map(str, one))
+            also = "" if turned else f" or positions ({', '.join(map(str, (*one[:-2], 3)))}), (N, {said[:-6]}3)"
+            also += f", one for each of {', '.join(tasks.names)}" if tasks.listed else ""
+            mend = MENDS.get(array.shape[-1], "") if array.ndim + 1 in ranks else ""
+            raise ValueError(f"targets have shape {array.shape}; allowed: poses ({said}) or (N, {said}){also}{mend}")
         each = poses.reshape(-1, 4, 4)
         cleaned, valid = in_blocks(RIGID_POSE, each, double=True)
         fault = np.zeros(len(each), np.int8)
         fault[~valid] = [_fault(pose) for pose in each[~valid]]
-        return Poses(cleaned, fault, poses.ndim == 2)
+        if not tasks.stacked:
+            return Poses(cleaned, fault, np.zeros(len(fault), int), poses.ndim == len(one))
+        by_task = fault.reshape(-1, len(tasks.each))
+        faulty = np.argmax(by_task > 0, axis=1)
+        rows = cleaned.reshape(-1, len(tasks.each), 4, 4)
+        return Poses(rows, by_task[np.arange(len(by_task)), faulty], faulty, poses.ndim == len(one))
 
     def of_scenes(self, count: int) -> Poses:
         """The targets of so many scenes, one each: as they are, or the only one in all. Raises `ValueError` for another
         number."""
         if len(self.poses) not in (1, count) or not count:
             raise ValueError(f"solve_ik: {count} scenes for {len(self.poses)} targets; give one, or a list of one for each")
-        poses = np.broadcast_to(self.poses, (count, 4, 4))
-        return Poses(poses, np.broadcast_to(self.fault, count), single=False)
+        poses = np.broadcast_to(self.poses, (count, *self.poses.shape[1:]))
+        return Poses(poses, np.broadcast_to(self.fault, count), np.broadcast_to(self.faulty, count), single=False)
 
 
 def _fault(pose: np.ndarray) -> int:
@@ -103,16 +115,18 @@ RIGID_POSE = HostKernel(_rigid_pose, 1)
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """The robot, its surroundings and the options; and for each target its pose (N, 4, 4), fault (N,), tolerances (N, 2) and
-    reference (N, n). `choice` is never "auto"."""
+    """The robot, whose tips are those of the tasks, its surroundings and the options; and for each target its pose (N, 4, 4) or
+    poses (N, k, 4, 4), fault (N,), tolerances (N, 2) and reference (N, n). `choice` is never "auto"."""
 
     robot: Robot
+    tasks: Tasks
     scene: Grouped | None
     seed: int
     options: IKOptions
     choice: str
     poses: np.ndarray
     fault: np.ndarray
+    faulty: np.ndarray
     low: np.ndarray
     high: np.ndarray
     weights: np.ndarray
@@ -124,7 +138,11 @@ class Problem:
     reference: np.ndarray | None
 
     @staticmethod
-    def of(robot: Robot, scene: Scene | Grouped | None, seed: int, options: IKOptions, targets: Poses) -> Problem:
+    def of(
+        robot: Robot, scene: Scene | Grouped | None, seed: int, options: IKOptions, targets: Poses, tasks: Tasks | None = None
+    ) -> Problem:
+        """The problem of a robot with the frames of `tasks` as its tips, or of a task of its only tip."""
+        tasks = Tasks.alone(options.task) if tasks is None else tasks
         n, count, choice = robot.num_joints, len(targets.poses), options.choice
         if choice == "auto":
             choice = "closest" if options.reference is not None and options.cost is None else "first"
@@ -145,12 +163,27 @@ class Problem:
         reference = None if options.reference is None else _shaped("reference", options.reference, (count, n), least=1)
         if reference is not None and not np.isfinite(reference).all():
             raise ValueError("reference holds NaN or infinity; write a configuration (n,), or one a target (N, n) [rad, m]")
-        strategy = _strategy(robot, options)
+        if choice == "manipulability" and tasks.ends != ((BASE_END, 0),):
+            raise ValueError("solve_ik: choice 'manipulability' is of one tip; choose 'closest', 'freedom' or 'comfort'")
+        strategy = _strategy(robot, options.seeds, tasks)
         inside, whole = (_range(robot, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
         around = grouped(scene, robot) if scene is not None else None
         unit = sqp_programs.unit_length(robot)
-        each = targets.poses, targets.fault, low, high, weights, inside, whole, unit, strategy, tolerance, reference
-        problem = Problem(robot, around, seed, options, choice, *each)
+        each = (
+            targets.poses,
+            targets.fault,
+            targets.faulty,
+            low,
+            high,
+            weights,
+            inside,
+            whole,
+            unit,
+            strategy,
+            tolerance,
+            reference,
+        )
+        problem = Problem(robot, tasks, around, seed, options, choice, *each)
         return problem if around is None else dataclasses.replace(problem, scene=problem.asked(around))
 
     def asked(self, around: Grouped) -> Grouped:
@@ -158,12 +191,47 @@ class Problem:
         return around if self.choice == "clearance" else at_margin(around, self.options.margin)  # that ranks what is clear
 
     def part(self, rows: slice) -> Problem:
+        """Keeps only the targets of a slice."""
+        return self if rows.start == 0 and rows.stop >= len(self.tolerance) else self.rows(rows)
+
+    def rows(self, rows: Any) -> Problem:
         """Keeps only some of the targets."""
-        if rows.start == 0 and rows.stop >= len(self.tolerance):
-            return self
         reference = None if self.reference is None else self.reference[rows]
-        poses, fault, tolerance = self.poses[rows], self.fault[rows], self.tolerance[rows]
-        return dataclasses.replace(self, poses=poses, fault=fault, tolerance=tolerance, reference=reference)
+        own = {name: getattr(self, name)[rows] for name in ("poses", "fault", "faulty", "tolerance")}
+        return dataclasses.replace(self, **own, reference=reference)
+
+    def of_arm(
+        self, arm: Robot, tasks: Tasks, poses: np.ndarray, limits: Any, reference: np.ndarray | None, **changes: Any
+    ) -> Problem:
+        """The problem of a part of the robot: an arm with joints of these limits and reference (N, n), which can hit nothing,
+        and `changes` of the options."""
+        options = object.__new__(IKOptions)  # checked already, and what is None here the problem says itself
+        locked = {name: value for name, value in self.options.locked.items() if name in arm.joint_names}
+        own = {"locked": locked, "reference": None, "cost": None, "weights": None, "choice": "auto"}
+        vars(options).update(vars(self.options) | own | changes)
+        low, high, weights = limits
+        inside, whole = (_range(arm, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
+        return dataclasses.replace(
+            self,
+            robot=arm,
+            tasks=tasks,
+            scene=None,
+            options=options,
+            poses=poses,
+            low=low,
+            high=high,
+            weights=weights,
+            inside=inside,
+            whole=whole,
+            unit=sqp_programs.unit_length(arm),
+            strategy=_strategy(arm, options.seeds, tasks),
+            reference=reference,
+        )
+
+    @property
+    def shapes(self) -> tuple[int, int]:
+        """The numbers of joints and of tasks."""
+        return self.robot.num_joints, len(self.tasks.each)
 
     @property
     def alone(self) -> bool:
@@ -237,7 +305,6 @@ def is_looked_at(who: str, robot: Robot, scene: Scene | None, collision: bool) -
     """Whether a robot's clearance is looked at: to a scene; without one to itself, where it has links that may hit. Raises
     `ValueError` for what is no robot or no scene, and for a scene with `collision=False`."""
     check_kind(who, "robot", robot, Robot)
-    robot.only_tip(who)
     check_kind(who, "scene", scene, Scene, optional=True)
     check_collision(who, collision, scene)
     return collision and (scene is not None or (has_geometry(robot) and bool(robot.self_pairs)))
@@ -273,11 +340,12 @@ def _shaped(name: str, value: Any, shape: tuple[int, ...], least: int = 0) -> np
     return np.broadcast_to(numbers(name, value, *(shape[k:] for k in range(len(shape) - least, -1, -1))), shape)
 
 
-def _strategy(robot: Robot, options: IKOptions) -> str:
-    if options.seeds not in ("auto", "closed_form"):
-        return options.seeds
-    obstacle = closed_form_obstacle(robot) if all(options.task.bound) else "the task leaves axes free"
-    if options.seeds == "closed_form" and obstacle:
+@functools.lru_cache(maxsize=64)
+def _strategy(robot: Robot, asked: str, tasks: Tasks) -> str:
+    if asked not in ("auto", "closed_form"):
+        return asked
+    obstacle = closed_form_obstacle(robot) if all(tasks.each[0].bound) else "the task leaves axes free"
+    if asked == "closed_form" and obstacle:
         raise ValueError(f"{robot.name}: seeds 'closed_form' need the closed form, and {obstacle}")
     # over given values the library leads to more: of 400 goals in a row of plants a UR10e on a rail missed 57 from branches
-    return "library" if obstacle or (options.seeds == "auto" and robot.num_joints > 6) else "closed_form"
+    return "library" if obstacle or (asked == "auto" and robot.num_joints > 6) else "closed_form"

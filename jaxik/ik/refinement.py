@@ -13,7 +13,20 @@ import numpy as np
 
 from jaxik.costs import Cost
 from jaxik.ik.problem import Problem
-from jaxik.ik.solutions import PORTION, Found, at_home, cleared, colliding, costs, far_apart, judged, nothing, top, within
+from jaxik.ik.solutions import (
+    PORTION,
+    Found,
+    at_home,
+    cleared,
+    colliding,
+    costs,
+    far_apart,
+    judged,
+    nothing,
+    top,
+    within,
+    worst,
+)
 from jaxik.ik.sqp_programs import AVOID, IMPROVE, SEARCH, Goal, batch, land, loosen, settle, slope
 from jaxik.kinematics.joint_turns import TURN
 from jaxik.optimise import sqp
@@ -46,7 +59,7 @@ def settled(problem: Problem, lanes: Found, most: int, double: bool = True, cree
     if not len(lanes.q):
         return lanes
     if double:
-        compile_finisher(settling(problem), problem.robot.num_joints).result()
+        compile_finisher(settling(problem), *problem.shapes).result()
     aim = problem.aim[lanes.target] if double else np.full(len(lanes.target), ARRIVED)
     rows, fixed = (lanes.q, problem.poses[lanes.target], aim), (problem.round_limits, most, creep)
     steps = settling(problem, FINISH if double else SEARCH)
@@ -66,14 +79,15 @@ def _inside(problem: Problem, q: np.ndarray) -> np.ndarray:
 
 def settling(problem: Problem, options: sqp.Options = FINISH) -> Callable[..., Any]:
     """The program of such steps; without options of the last ones, in float64."""
-    return batch(3, settle, problem.robot, problem.options.task, options)
+    return batch(3, settle, problem.robot, problem.tasks, options)
 
 
 @anew_in_forks
 @functools.lru_cache(maxsize=64)
-def compile_finisher(program: Callable[..., Any], n: int) -> Future[Any]:
+def compile_finisher(program: Callable[..., Any], n: int, tasks: int = 1) -> Future[Any]:
     """Lets another thread compile what finishes lanes while the search compiles: a quarter of the first call's time."""
-    rows, fixed = (np.zeros((1, n)), np.eye(4)[None], np.zeros(1)), ((np.zeros(n), np.zeros(n), np.ones(n)), 0, 0.0)
+    pose = np.eye(4)[None] if tasks == 1 else np.tile(np.eye(4), (1, tasks, 1, 1))
+    rows, fixed = (np.zeros((1, n)), pose, np.zeros(1)), ((np.zeros(n), np.zeros(n), np.ones(n)), 0, 0.0)
     return threads().submit(in_blocks, program, *rows, fixed=fixed, double=True)
 
 
@@ -102,7 +116,7 @@ def loosened(problem: Problem, misses: Misses, reason: np.ndarray) -> tuple[Foun
     aim = problem.aim[missed.target]
     slack = problem.tolerance[missed.target] / [problem.unit, 1.0] - 2.0 * aim[:, None]
     rows, fixed = (missed.q, problem.poses[missed.target], aim, slack), (problem.round_limits, LOOSE)
-    program = batch(4, loosen, problem.robot, problem.options.task, LOOSENING)
+    program = batch(4, loosen, problem.robot, problem.tasks, LOOSENING)
     q, away, turned, count = in_blocks(program, *rows, fixed=fixed, double=True)
     ended = missed._replace(
         q=_inside(problem, q), position_error=away, rotation_error=turned, iterations=missed.iterations + count
@@ -132,7 +146,7 @@ class Misses:
         if reason is not None:
             noted = noted.rows(reason[noted.target] != SOLVED)
         # in float64, so that they rank the same whatever they are joined with
-        away = noted.position_error.astype(np.float64) / self.problem.unit + noted.rotation_error
+        away = worst(noted.position_error.astype(np.float64) / self.problem.unit + noted.rotation_error)
         away = np.nan_to_num(away, nan=np.inf)
         if most is not None:
             near = away < np.broadcast_to(most, len(self.problem.tolerance))[noted.target]
@@ -161,13 +175,13 @@ def goal(problem: Problem, cost: Cost | None = None) -> Goal:
     """The goal of a lane: the task, the cost, and obstacles as the options have it."""
     options = problem.options
     collision = "none" if problem.scene is None else str(options.collision)
-    return Goal(options.task, cost, collision, options.activation, options.penalty)
+    return Goal(problem.tasks, cost, collision, options.activation, options.penalty)
 
 
 def freed(problem: Problem, stuck: Found, count: int) -> Found:
     """The answers that a search for clearance makes of the best few colliding postures of each target; those on other branches
     where the task leaves no joint free, so that a posture that has its pose cannot move."""
-    if int(np.sum(problem.low < problem.high)) <= sum(problem.options.task.bound):
+    if int(np.sum(problem.low < problem.high)) <= problem.tasks.bound:
         return _hopped(problem, stuck, count)
     chosen = stuck.rows(far_apart(problem, stuck, stuck.clearance, count))
     if not len(chosen.q):

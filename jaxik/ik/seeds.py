@@ -25,6 +25,8 @@ from jaxik.analytic.solutions import BRANCHES, closed_form
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
+from jaxik.kinematics.tasks import BASE_END, Tasks
+from jaxik.kinematics.tree import BASE_ROW
 from jaxik.pytree import read_only
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
@@ -89,6 +91,42 @@ def near(inside: Range, seed: int, first: int, last: int, reference: np.ndarray)
     return np.clip(reference[:, None] + width[:, None] * away, low, high)
 
 
+@functools.lru_cache(maxsize=64)
+def sliding_base(robot: Robot) -> tuple[tuple[int, ...], np.ndarray]:
+    """The joints (k,) that slide the whole robot without limits, before anything turns, by their numbers; and where to (k, 3),
+    in the base. A base that moves begins with them."""
+    tree, joints, along, turned, row = robot.tree, [], [], np.eye(3), BASE_ROW
+    while tree.parents.count(row) == 1:
+        row = tree.parents.index(row)
+        joint = tree.joints[row]
+        if not tree.slides[row] or row >= robot.num_joints or tree.joints.count(joint) > 1:
+            break
+        turned = turned @ np.asarray(robot.parent_T_joint[row])[:3, :3]
+        if np.isfinite(robot.lower[joint]) or np.isfinite(robot.upper[joint]):
+            break
+        joints.append(joint)
+        along.append(turned @ np.asarray(robot.axis[row]))
+    return tuple(joints), read_only(np.array(along).reshape(-1, 3))
+
+
+def centred(robot: Robot, tasks: Tasks, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (N, 4, 4) or (N, k, 4, 4) as the robot sees them once its base has slid to where they are, near which all seeds
+    are; and how far each of the joints of `sliding_base` has slid (N, j)."""
+    _, along = sliding_base(robot)
+    if not len(along):
+        return poses, np.zeros((len(poses), 0))
+    each = tasks.poses(poses)
+    placed = [i for i, (end, _) in enumerate(tasks.ends) if end == BASE_END and len(tasks.each[i].positions) == 3]
+    if not placed:
+        return poses, np.zeros((len(poses), len(along)))
+    middle = np.mean([each[i][:, :3, 3] for i in placed], axis=0)
+    away = middle @ np.linalg.pinv(along)
+    moved = np.array(poses)
+    for i in placed:
+        (moved[:, i] if tasks.stacked else moved)[:, :3, 3] -= away @ along
+    return moved, away
+
+
 # --------------------------------------------------------------------------------------------------------------------
 # The library
 
@@ -106,6 +144,12 @@ def _features(task: Task, poses: np.ndarray, length: float) -> np.ndarray:
     return np.concatenate(parts, axis=1).astype(np.float32) if parts else np.zeros((len(poses), 1), np.float32)
 
 
+def _all_features(tasks: Tasks, poses: list[np.ndarray], length: float) -> np.ndarray:
+    """The features of all tasks side by side, of their poses (N, 4, 4)."""
+    parts = [_features(task, each, length) for task, each in zip(tasks.each, poses, strict=True)]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+
+
 class _Set(NamedTuple):
     """Configurations (m, n), and for `f` their features the table (f, -|f|^2/2): its product with (g, 1) is largest where
     |f - g| is least."""
@@ -115,26 +159,28 @@ class _Set(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def _set(robot: Robot, task: Task, inside: Range, length: float, number: int) -> _Set:
+def _set(robot: Robot, tasks: Tasks, inside: Range, length: float, number: int) -> _Set:
     # the user's seed does not change it: it is built once a robot
     q = uniform(inside, 0, number, LATER if number else FIRST)
-    features = _features(task, joint_frames(robot, list(q.T)).tip.matrices, length)
+    features = _all_features(tasks, [each.matrices for each in tasks.frames(joint_frames(robot, list(q.T)))], length)
     return read_only(_Set(q.astype(np.float32), np.column_stack([features, -0.5 * np.sum(features**2, axis=1)])))
 
 
 @functools.lru_cache(maxsize=64)
-def _sets(robot: Robot, task: Task, inside: Range, length: float, first: int, last: int) -> list[_Set]:
-    return [_set(robot, task, inside, length, number) for number in range(first, last)]
+def _sets(robot: Robot, tasks: Tasks, inside: Range, length: float, first: int, last: int) -> list[_Set]:
+    return [_set(robot, tasks, inside, length, number) for number in range(first, last)]
 
 
 def library(
-    robot: Robot, task: Task, length: float, inside: Range, seed: int, first: int, last: int, poses: np.ndarray
+    robot: Robot, tasks: Tasks, length: float, inside: Range, seed: int, first: int, last: int, poses: np.ndarray
 ) -> np.ndarray:
-    """Seeds number `first` to `last` for poses (N, 4, 4), (N, last - first, n)."""
+    """Seeds number `first` to `last` for poses (N, 4, 4) or (N, k, 4, 4), (N, last - first, n)."""
     at = np.empty((len(poses), last - first, robot.num_joints), np.float32)
-    sets = _sets(robot, task, inside, length, first, min(last, SETS))
+    sets = _sets(robot, tasks, inside, length, first, min(last, SETS))
     if sets:
-        found = in_blocks(NEAREST, _features(task, poses, length), fixed=([each.table for each in sets],), double=False)
+        found = in_blocks(
+            NEAREST, _all_features(tasks, tasks.poses(poses), length), fixed=([each.table for each in sets],), double=False
+        )
         for k, rows in enumerate(found):
             at[:, k] = sets[k].q[rows]
     if last > SETS:

@@ -22,7 +22,8 @@ PORTION = 65_536  # lanes at a time, which bounds the memory
 
 
 class Found(NamedTuple):
-    """Finished lanes inside the limits that have their targets' poses, in float64: columns of one length."""
+    """Finished lanes inside the limits that have their targets' poses, in float64: columns of one length. Errors are one a
+    lane, or (k,) of several tasks."""
 
     target: np.ndarray
     q: np.ndarray
@@ -49,7 +50,12 @@ class Found(NamedTuple):
 def within(found: Found, tolerance: np.ndarray) -> np.ndarray:
     """Whether the errors of each row are no more than its target's tolerances, of (N, 2)."""
     allowed = tolerance[found.target]
-    return (found.position_error <= allowed[:, 0]) & (found.rotation_error <= allowed[:, 1])
+    return (worst(found.position_error) <= allowed[:, 0]) & (worst(found.rotation_error) <= allowed[:, 1])
+
+
+def worst(errors: np.ndarray) -> np.ndarray:
+    """The largest of each lane's errors (b,), of (b,) or (b, k)."""
+    return errors if errors.ndim == 1 else errors.max(axis=1)
 
 
 def portions(rows: np.ndarray, each: int) -> list[np.ndarray]:
@@ -58,16 +64,17 @@ def portions(rows: np.ndarray, each: int) -> list[np.ndarray]:
     return [rows[i : i + size] for i in range(0, len(rows), size)]
 
 
-def candidates(q: np.ndarray, target: np.ndarray, number: np.ndarray) -> Found:
-    """Makes lanes at their starts, whose errors and clearances are not known."""
+def candidates(q: np.ndarray, target: np.ndarray, number: np.ndarray, tasks: int = 1) -> Found:
+    """Makes lanes at their starts, of so many tasks, whose errors and clearances are not known."""
     unknown = np.full(len(q), np.nan)
-    return Found(target, q, unknown, unknown, unknown, number, np.zeros(len(q), int))
+    errors = unknown if tasks == 1 else np.full((len(q), tasks), np.nan)
+    return Found(target, q, errors, errors, unknown, number, np.zeros(len(q), int))
 
 
 def nothing(problem: Problem) -> Found:
     """No lane at all."""
     empty = np.zeros(0, int)
-    return candidates(np.zeros((0, problem.robot.num_joints)), empty, empty)
+    return candidates(np.zeros((0, problem.robot.num_joints)), empty, empty, len(problem.tasks.each))
 
 
 def colliding(problem: Problem, found: Found) -> np.ndarray:

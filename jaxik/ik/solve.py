@@ -1,7 +1,5 @@
 """Inverse kinematics of any robot for any number of targets: a configuration for each, or the reason why there is none; and
 gradients through a configuration that was found.
-
-Several tips at once are out of scope.
 """
 
 from __future__ import annotations
@@ -21,6 +19,7 @@ from jax import lax
 from jaxtyping import Bool, Float, Int
 
 from jaxik.checks.arrays import Array, as_numbers
+from jaxik.checks.options import check_kind
 from jaxik.collision.bvh import Grouped, decided_within, grouped_alike, own_in
 from jaxik.collision.clearances import check_geometry, has_geometry, link_clearances
 from jaxik.collision.contact_report import Contact, explain, warn_of_scene
@@ -28,17 +27,21 @@ from jaxik.collision.own_shape import own_shapes, told_below
 from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.costs import Cost
-from jaxik.ik.multistart import Outcome, search
+from jaxik.ik.branches import search
+from jaxik.ik.multistart import Outcome, beyond_reach
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import FAULTS, Poses, Problem, is_looked_at
 from jaxik.ik.solutions import Found, candidates, cleared, far_apart, scores, top, with_turns
+from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.reach_bound import millimetres
 from jaxik.kinematics.robot import Robot, as_configuration
-from jaxik.kinematics.task import POSE, Task, residual
+from jaxik.kinematics.task import POSE
+from jaxik.kinematics.tasks import Asked, Tasks, tasks_of
 from jaxik.optimise.implicit import Program, implicit
 from jaxik.pytree import static
 from jaxik.reasons import Reason
 from jaxik.results import Result
+from jaxik.spatial.algebra import traced as tracers
 from jaxik.spmd import kernel
 
 TARGETS = 16_384  # solved together, which bounds the memory
@@ -60,6 +63,10 @@ class IKResult(Result):
     clearance [m] too (to the scene and to itself; NaN where nothing is checked). seed is the number of the seed that led to q,
     iterations the SQP steps from there. solutions (k, n) holds all different answers, best first, NaN where there are no more;
     num_solutions counts them. fault is what makes a target INVALID, a number of `FAULTS`, else 0; `why` says it in words.
+
+    With a list of tips, or of tasks, position_error and rotation_error have a last axis (k,) of theirs, and task is the number
+    of the one that the reason is of, -1 where it is of all or of none. beyond is how far a target lies past what the reach
+    bound of its tip allows [m], 0 where it does not.
     """
 
     q: Float[np.ndarray, "*b n"]
@@ -72,6 +79,9 @@ class IKResult(Result):
     solutions: Float[np.ndarray, "*b k n"]
     num_solutions: Int[np.ndarray, "*b"] | Any
     fault: Int[np.ndarray, "*b"] | Any = 0
+    task: Int[np.ndarray, "*b"] | Any = -1
+    beyond: Float[np.ndarray, "*b"] | Any = 0.0
+    tasks: tuple[str, ...] = static(default=())  # their names, where there is a list of them
     solved_in: Any = static(default=None)  # robot, scene or one a target, margin
     ROW: ClassVar = "target"
     HELP: ClassVar = {
@@ -85,10 +95,13 @@ class IKResult(Result):
     def why(self) -> Any:
         """The reasons in words, with what would help, or what is wrong with an INVALID target; of a batch an array of texts."""
         fault, words = np.asarray(self.fault, int), super().why
-        if not fault.any():
-            return words
-        told = np.where(fault > 0, np.array([f"{Reason.INVALID}: {text}" for text in FAULTS])[fault], words)
-        return told if told.ndim else str(told)
+        if fault.any():
+            words = np.where(fault > 0, np.array([f"{Reason.INVALID}: {text}" for text in FAULTS])[fault], words)
+        if self.tasks and (np.asarray(self.task) >= 0).any():
+            each = zip(np.ravel(words), np.ravel(self.task), np.ravel(self.beyond), strict=True)
+            told = [f"{self.tasks[task]}{_past(beyond)}: {text}" if task >= 0 else text for text, task, beyond in each]
+            words = np.array(told, str).reshape(np.shape(self.task))
+        return words if np.ndim(words) else str(words)
 
     @functools.cached_property
     def offenders(self) -> tuple[Any, ...]:
@@ -135,6 +148,11 @@ def solve_ik(
     """Finds configurations inside the limits whose tip has the target poses, `base_T_tip` (4, 4) or (N, 4, 4) [m]; or reasons.
     Host driver.
 
+    For a robot with a list of k tips a target is a pose of each, (k, 4, 4) or (N, k, 4, 4); so it is with `task=` a list of k
+    tasks, each of which names its tip, and may be relative to another: `[Task.pose(tip="left"), Task.pose(tip="right",
+    relative="left")]`. All of them are reached at once, within the tolerances each. A task that names a tip, and is in no list,
+    takes poses (4, 4) or (N, 4, 4).
+
     An answer keeps `margin` to the scene, and the robot to itself; without a scene to itself alone. A list of scenes has one
     for each target, or for the only one. Nothing is checked for a robot without collision geometry, and with
     `collision=False`; where only the geometry's meshes were not read, a warning says so.
@@ -151,21 +169,28 @@ def solve_ik(
     """
     options = IKOptions.chosen(options, changes)
     scenes: Any = tuple(scene) if isinstance(scene, list | tuple) else None
+    check_kind("solve_ik", "robot", robot, Robot)
+    robot, tasks = tasks_of("solve_ik", robot, options.task)
     each = [_around(robot, one, options) for one in ((scene,) if scenes is None else scenes)]  # type: ignore[arg-type]
-    given = Poses.of(targets, options.task)
+    given = Poses.of(targets, tasks)
     if scenes is not None:
         given = given.of_scenes(len(scenes))
     for unseen in {words for _, words in each if words}:
         warnings.warn(f"solve_ik: {unseen}", stacklevel=2)
     for around in {id(one): one for one, _ in each if one is not None}.values():
         warn_of_scene("solve_ik", robot, around, options.margin)
-    if doubt := millimetres(robot, given.poses[given.fault == 0, :3, 3]):
-        warnings.warn(f"solve_ik: {doubt}", stacklevel=2)
+    for ends, poses in zip(tasks.ends, tasks.poses(given.poses), strict=True):
+        if doubt := millimetres(robot, poses[given.fault == 0, :3, 3], ends=ends):
+            warnings.warn(f"solve_ik: {doubt}", stacklevel=2)
     if scenes is None or options.collision is False:
-        result = solved(robot, given, None if options.collision is False else each[0][0], seed, options, progress)
+        result = solved(robot, given, None if options.collision is False else each[0][0], seed, options, progress, tasks)
     else:
-        result = _solved_apart(robot, given, scenes, seed, options, progress)
+        result = _solved_apart(robot, given, scenes, seed, options, progress, tasks)
     return result[0] if given.single else result
+
+
+def _past(beyond: float) -> str:
+    return f", {beyond:.3g} m past its reach bound" if beyond > 0.0 else ""
 
 
 def _around(robot: Robot, scene: Scene | None, options: IKOptions) -> tuple[Scene | None, str]:
@@ -193,9 +218,10 @@ def solved(
     seed: int,
     options: IKOptions,
     progress: Callable[[int, int], Any] | None = None,
+    tasks: Tasks | None = None,
 ) -> IKResult:
     """Solves for many targets whose arguments are checked. Nothing is looked at without a scene; `()` is the robot alone."""
-    problem, parts = Problem.of(robot, scene, seed, options, targets), []
+    problem, parts = Problem.of(robot, scene, seed, options, targets, tasks), []
     count, size = len(targets.poses), TOLD if progress else TARGETS
     for start in range(0, max(1, count), size):
         part = problem.part(slice(start, start + size))
@@ -213,9 +239,10 @@ def _solved_apart(
     seed: int,
     options: IKOptions,
     progress: Callable[[int, int], Any] | None = None,
+    tasks: Tasks | None = None,
 ) -> IKResult:
     """`solved`, each target in a scene of its own, by the same programs: scene by scene, those that follow in one together."""
-    problem, parts = Problem.of(robot, scenes[0], seed, options, targets), []
+    problem, parts = Problem.of(robot, scenes[0], seed, options, targets, tasks), []
     around = [problem.asked(each + own_shapes(robot)) for each in grouped_alike(scenes, robot)]
     for _, numbers in itertools.groupby(range(len(scenes)), lambda i: id(scenes[i])):
         first, *more = numbers
@@ -236,7 +263,7 @@ def _result(problem: Problem, outcome: Outcome) -> IKResult:
     score = scores(problem, found)
     shown = best = found.rows(top(found.target, score, 1, found.seed))
     if len(best.q) < count:  # else it is one of each, in their order
-        unknown = candidates(np.full((count, n), np.nan), np.arange(count), np.full(count, -1))
+        unknown = candidates(np.full((count, n), np.nan), np.arange(count), np.full(count, -1), len(problem.tasks.each))
         freest = stuck.rows(top(stuck.target, stuck.clearance, 1, stuck.seed))
         ranked = Found.joined([unknown, outcome.missed, freest, best])
         last = np.zeros(count, int)
@@ -252,7 +279,32 @@ def _result(problem: Problem, outcome: Outcome) -> IKResult:
     width = max([1, *known]) if problem.options.solutions == "all" else problem.most
     solutions = np.full((count, width, n), np.nan)
     solutions[best.target, np.arange(len(best.target)) - np.searchsorted(best.target, best.target)] = best.q
-    return IKResult(shown.q, outcome.reason, *shown[2:], solutions=solutions, num_solutions=known, fault=problem.fault)
+    errors = shown.position_error, shown.rotation_error
+    if problem.tasks.listed and not problem.tasks.stacked:
+        errors = errors[0][:, None], errors[1][:, None]
+    names = problem.tasks.names if problem.tasks.listed else ()
+    return IKResult(
+        shown.q,
+        outcome.reason,
+        *errors,
+        *shown[4:],
+        solutions=solutions,
+        num_solutions=known,
+        fault=problem.fault,
+        **_of_tasks(problem, outcome),
+        tasks=names,
+    )
+
+
+def _of_tasks(problem: Problem, outcome: Outcome) -> dict[str, np.ndarray]:
+    """Returns which task of each target has the reason, and how far it lies beyond its reach bound."""
+    reason, count = outcome.reason, len(outcome.reason)
+    task, beyond = np.full(count, -1) if outcome.task is None else outcome.task, np.zeros(count)
+    if (out := reason == Reason.OUT_OF_REACH).any():
+        past = beyond_reach(problem.rows(np.flatnonzero(out)))
+        beyond[out] = np.maximum(past.max(axis=1), 0.0)
+        task[out] = np.where(beyond[out] > 0.0, past.argmax(axis=1), task[out])
+    return {"task": np.where(reason == Reason.INVALID, problem.faulty, task), "beyond": beyond}
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -268,16 +320,17 @@ class ImplicitIK(NamedTuple):
 
 def implicit_ik(
     robot: Robot,
-    target: Float[Array, "4 4"],
+    target: Float[Array, "*k 4 4"],
     q: Float[Array, " n"],
     *,
     scene: Scene | None = None,
     cost: Cost | None = None,
-    task: Task = POSE,
+    task: Asked = POSE,
     margin: Any = 0.0,
     collision: bool = True,
 ) -> ImplicitIK:
-    """Makes a solution `q` (n,) a differentiable function of the target, the robot's numbers and the scene. Traced.
+    """Makes a solution `q` (n,) a differentiable function of the target, the robot's numbers and the scene; of the targets
+    (k, 4, 4) of a list of tips or tasks. Traced.
 
     Its derivative is that of the solution that moves on with them: `q` minimises `cost` over what the task leaves free, or,
     without one, moves as little as possible, `dq = -J+ dr`. Joints on their limits stay there, and links at `margin` [m] from
@@ -289,7 +342,8 @@ def implicit_ik(
     Raises `ValueError` for a target, q or margin of another shape. Source: Fiacco 1976, through `optimise.implicit`.
     """
     looked, q = is_looked_at("implicit_ik", robot, scene, collision), as_configuration(robot, q)
-    as_numbers("target", target, (4, 4))
+    _, tasks = tasks_of("implicit_ik", robot, task)
+    as_numbers("target", target, tasks.shape)
     as_numbers("margin", margin, ())
     dtype = q.dtype
 
@@ -301,7 +355,14 @@ def implicit_ik(
         given = dict(zip(traced, t, strict=True))
         return jax.tree_util.tree_unflatten(tree, [given.get(i, leaf) for i, leaf in enumerate(leaves)])
 
-    equality = kernel(lambda x, t: residual(whole(t)[0], whole(t)[1], task)(x))
+    def missed(x: Any, t: Any) -> Any:
+        given, target, *_ = whole(t)
+        its_robot, _ = tasks_of("implicit_ik", given, task)
+        poses = tasks.targets(jnp.asarray(target, x.dtype) if tasks.stacked else jnp.asarray(target, x.dtype).reshape(4, 4))
+        apart = tasks.residuals(joint_frames(its_robot, tracers(x), dtype=x.dtype), poses)
+        return jnp.stack([value for position, rotation in apart for value in position + rotation])
+
+    equality = kernel(missed)
     least = kernel(lambda x, t: 0.5 * jnp.sum((x - whole(t)[3]) ** 2) if cost is None else cost(x))
 
     curved = looked and _curved_rightly(robot, scene)

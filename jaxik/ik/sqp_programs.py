@@ -20,30 +20,31 @@ from jaxik.checks.arrays import Array, as_numbers
 from jaxik.checks.options import as_count
 from jaxik.collision.clearances import clearance, link_contacts
 from jaxik.costs import Cost, collision_cost
-from jaxik.kinematics.forward import jacobian_columns, joint_frames
+from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.reach_bound import reach_bound
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSE, Task
+from jaxik.kinematics.tasks import BASE_END, Asked, Tasks, tasks_of
 from jaxik.optimise import sqp
 from jaxik.optimise.linear import column, dot
 from jaxik.optimise.sqp import NONE, Rows
-from jaxik.spatial.algebra import Frame, Scalar, add, mul, safe_sqrt, stack
+from jaxik.spatial.algebra import Scalar, add, mul, safe_sqrt, stack
 from jaxik.spmd import HostKernel, kernel
 from jaxik.spmd.batch import in_blocks
 
 
 class DescendedIK(NamedTuple):
-    """The end of a descent: q (n,), and the errors of its tip [m], [rad]."""
+    """The end of a descent: q (n,), and the errors of its tip [m], [rad]; of several tasks theirs, (k,)."""
 
     q: Float[Array, "*b n"]
-    position_error: Float[Array, "*b"]
-    rotation_error: Float[Array, "*b"]
+    position_error: Float[Array, "*k"]
+    rotation_error: Float[Array, "*k"]
 
 
 class Goal(NamedTuple):
-    """The goal of a lane: the task, the user's cost, and obstacles as a constraint or a penalty. Hashable: a program's key."""
+    """The goal of a lane: the tasks, the user's cost, and obstacles as a constraint or a penalty. Hashable: a program's key."""
 
-    task: Task
+    tasks: Tasks
     cost: Cost | None = None
     collision: str = "none"  # constraint, penalty
     activation: float = 0.05
@@ -56,29 +57,34 @@ IMPROVE = sqp.Options(learned=True, floor=1e-10, passes=3)  # for a cost
 
 
 def unit_length(robot: Robot) -> float:
-    """The length [m] that counts as much as a radian."""
-    return reach_bound(robot, False).length / 3.0
+    """The length [m] that counts as much as a radian: of several tips that of the longest way."""
+    if len(robot.tips) == 1:
+        return reach_bound(robot, False).length / 3.0
+    return max(reach_bound(robot, False, (BASE_END, tip)).length for tip in range(len(robot.tips))) / 3.0
 
 
 def descend_ik(
-    robot: Robot, target: Float[Array, "4 4"], q: Float[Array, " n"], *, task: Task = POSE, iterations: int = 20
+    robot: Robot, target: Float[Array, "*k 4 4"], q: Float[Array, " n"], *, task: Asked = POSE, iterations: int = 20
 ) -> DescendedIK:
-    """Makes `iterations` SQP steps from the seed q (n,) towards `base_T_tip = target` (4, 4) [m], inside the robot's limits.
-    Traced.
+    """Makes `iterations` SQP steps from the seed q (n,) towards `base_T_tip = target` (4, 4) [m], inside the robot's limits; of
+    a list of k tips, or of tasks, towards their targets (k, 4, 4). Traced.
 
     This is one lane of what `solve_ik` makes of many seeds, for control loops and pipelines of one's own: `jit` and `vmap` it.
     Only the returned errors judge it: where they are not small, take another seed. For the derivative of a solution
     `implicit_ik` needs none of the steps. Raises `ValueError` for a target or q of another shape.
     """
-    count, target = as_count("iterations", iterations), as_numbers("target", target, (4, 4))
-    return _descend(robot, task, count, target, as_configuration(robot, q))
+    q = as_configuration(robot, q)
+    robot, tasks = tasks_of("descend_ik", robot, task)
+    target = as_numbers("target", target, tasks.shape)
+    found = _descend(robot, tasks, as_count("iterations", iterations), target if tasks.stacked else target.reshape(4, 4), q)
+    return found if tasks.stacked or not tasks.listed else DescendedIK(found.q, *(error[None] for error in found[1:]))
 
 
 @kernel(models=3)
-def _descend(robot: Robot, task: Task, iterations: int, target: Any, q: Any) -> DescendedIK:
+def _descend(robot: Robot, tasks: Tasks, iterations: int, target: Any, q: Any) -> DescendedIK:
     low, high = jnp.asarray(robot.lower, q.dtype), jnp.asarray(robot.upper, q.dtype)
     limits = low, high, jnp.ones_like(q)
-    return land(robot, Goal(task), iterations, SEARCH, jnp.clip(q, low, high), target.astype(q.dtype), limits)
+    return land(robot, Goal(tasks), iterations, SEARCH, jnp.clip(q, low, high), target.astype(q.dtype), limits)
 
 
 @functools.lru_cache(maxsize=256)
@@ -93,39 +99,41 @@ def land(
     """`sqp.run` from q to a pose; `limits` are lower, upper and weights, `around` is a scene, and the margin to keep."""
     low, high, weights = limits
     problem = _problem(robot, goal, pose, weights, around, q.dtype)
-    return DescendedIK(*_apart(robot, goal.task, *sqp.run(problem, q, low, high, iterations, options)))
+    return DescendedIK(*_apart(robot, goal.tasks, *sqp.run(problem, q, low, high, iterations, options)))
 
 
 def settle(
-    robot: Robot, task: Task, options: sqp.Options, q: Any, pose: Any, aim: Any, limits: Any, most: Any, creep: Any
+    robot: Robot, tasks: Tasks, options: sqp.Options, q: Any, pose: Any, aim: Any, limits: Any, most: Any, creep: Any
 ) -> tuple[Any, ...]:
     """`sqp.settle` likewise: q, its errors, and after how many steps it came to rest."""
     low, high, weights = limits
-    problem = _problem(robot, Goal(task), pose, weights, (None, None), q.dtype)
+    problem = _problem(robot, Goal(tasks), pose, weights, (None, None), q.dtype)
     found, apart, count = sqp.settle(problem, jnp.clip(q, low, high), low, high, most, aim, creep, options)
-    return *_apart(robot, task, found, apart), count
+    return *_apart(robot, tasks, found, apart), count
 
 
 def loosen(
-    robot: Robot, task: Task, options: sqp.Options, q: Any, pose: Any, aim: Any, slack: Any, limits: Any, most: Any
+    robot: Robot, tasks: Tasks, options: sqp.Options, q: Any, pose: Any, aim: Any, slack: Any, limits: Any, most: Any
 ) -> tuple[Any, ...]:
-    """`settle` to within `slack` (2,) of the pose [unit lengths, rad], whatever is inside that being as good."""
+    """`settle` to within `slack` (2,) of each pose [unit lengths, rad], whatever is inside that being as good."""
     low, high, weights = limits
-    problem = _problem(robot, Goal(task), pose, weights, (None, None), q.dtype, slack)
+    problem = _problem(robot, Goal(tasks), pose, weights, (None, None), q.dtype, slack)
     found, _, count = sqp.settle(problem, jnp.clip(q, low, high), low, high, most, aim, jnp.inf, options)
-    return found, *errors(robot, task, found, pose), count
+    return found, *errors(robot, tasks, found, pose), count
 
 
-def errors(robot: Robot, task: Task, q: Any, pose: Any) -> tuple[Any, Any]:
-    """The errors of a configuration's tip [m], [rad]."""
-    position, rotation = task.residual(joint_frames(robot, list(q), dtype=q.dtype).tip, Frame.of_columns(pose))
+def errors(robot: Robot, tasks: Tasks, q: Any, pose: Any) -> tuple[Any, Any]:
+    """The errors of a configuration's tips [m], [rad]; one number, or (k,) of several tasks."""
+    apart = tasks.residuals(joint_frames(robot, list(q), dtype=q.dtype), tasks.targets(pose))
     length = lambda x: safe_sqrt(sum(each * each for each in x)) if x else jnp.zeros((), q.dtype)
-    return length(position), length(rotation)
+    return tasks.shaped([length(position) for position, _ in apart]), tasks.shaped([length(turn) for _, turn in apart])
 
 
-def solve_errors(robot: Robot, task: Task, q: np.ndarray, poses: np.ndarray) -> list[np.ndarray]:
-    """The errors [m], [rad] of configurations (b, n) by their poses (b, 4, 4), each (b,), in float64. On the host."""
-    return in_blocks(batch(2, errors, robot, task), q, poses, double=True)
+def solve_errors(robot: Robot, task: Task | Tasks, q: np.ndarray, poses: np.ndarray) -> list[np.ndarray]:
+    """The errors [m], [rad] of configurations (b, n) by their poses (b, 4, 4), each (b,), in float64; of several tasks (b, k).
+    On the host."""
+    tasks = Tasks.alone(task) if isinstance(task, Task) else task
+    return in_blocks(batch(2, errors, robot, tasks), q, poses, double=True)
 
 
 def clearance_around(robot: Robot, q: Any, scene: Any) -> Any:
@@ -138,39 +146,43 @@ def slope(cost: Cost, q: Any) -> Any:
     return jax.grad(cost)(q)
 
 
-def _apart(robot: Robot, task: Task, found: Any, apart: Any) -> tuple[Any, Any, Any]:
+def _apart(robot: Robot, tasks: Tasks, found: Any, apart: Any) -> tuple[Any, Any, Any]:
     """A configuration, and from its equations' values the errors [m], [rad]."""
-    places = len(task.positions)
     length = lambda x: safe_sqrt(jnp.sum(x**2))
-    return found, length(apart[:places]) * unit_length(robot), length(apart[places:])
+    away, turned, first = [], [], 0
+    for task in tasks.each:
+        middle, last = first + len(task.positions), first + sum(task.bound)
+        away.append(length(apart[first:middle]) * unit_length(robot))
+        turned.append(length(apart[middle:last]))
+        first = last
+    return found, tasks.shaped(away), tasks.shaped(turned)
 
 
 def _problem(robot: Robot, goal: Goal, pose: Any, weights: Any, around: Any, dtype: Any, slack: Any = None) -> sqp.Problem:
-    """The tip at `pose`, or within `slack` of it, and what is minded beside, as equations, cost and inequalities of the
+    """The tips at their poses, or within `slack` of them, and what is minded beside, as equations, cost and inequalities of the
     joints."""
     n, scale = robot.num_joints, 1.0 / unit_length(robot)
     units = [scale**2 if prismatic else 1.0 for prismatic in robot.is_prismatic]
     metric = [[weights[i] * units[i] if i == j else 0.0 for j in range(n)] for i in range(n)]
-    target = Frame.of_columns(pose)
+    targets = goal.tasks.targets(pose)
 
     def model(x: Sequence[Scalar]) -> sqp.Model:
         frames = joint_frames(robot, x, dtype=dtype)
-        position, rotation = goal.task.residual(frames.tip, target)
-        rows = goal.task.rows(jacobian_columns(robot, frames), target)
-        scales = [scale] * len(position) + [1.0] * len(rotation)
-        value = [mul(s, v) for s, v in zip(scales, position + rotation, strict=True)]
-        equality = Rows(value, [[mul(s, v) for v in row] for s, row in zip(scales, rows, strict=True)])
+        apart, rows = goal.tasks.residuals(frames, targets), goal.tasks.rows(robot, frames, targets)
+        parts = [part for each, of in zip(apart, rows, strict=True) for part in _scaled(*each, of, scale)]
         if slack is not None:
-            k = len(position)
-            near, turned = (
-                _outside(Rows(equality.value[p], equality.matrix[p]), radius)
-                for p, radius in zip((slice(k), slice(k, None)), slack, strict=True)
-            )
-            equality = Rows([*near.value, *turned.value], [*near.matrix, *turned.matrix])
+            parts = [_outside(part, slack[i % 2]) for i, part in enumerate(parts)]
+        equality = Rows([v for part in parts for v in part.value], [row for part in parts for row in part.matrix])
         cost, gradient, inequality = _beside(robot, goal, stack(x, (n,), dtype), around, scale)
         return sqp.Model(cost, gradient, equality, inequality)
 
     return sqp.Problem(model, metric)
+
+
+def _scaled(position: list[Scalar], rotation: list[Scalar], rows: list[list[Scalar]], scale: float) -> tuple[Rows, Rows]:
+    """A task's equations of position, in unit lengths, and of rotation."""
+    k = len(position)
+    return Rows([mul(scale, v) for v in position], [[mul(scale, v) for v in row] for row in rows[:k]]), Rows(rotation, rows[k:])
 
 
 def _outside(rows: Rows, radius: Any) -> Rows:

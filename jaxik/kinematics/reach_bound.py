@@ -8,13 +8,14 @@ convex problem. The last joint's point is known from the target's pose. A prisma
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxik.kinematics.forward import row_values
 from jaxik.kinematics.robot import Robot
 from jaxik.pytree import read_only
+from jaxik.spatial.rotations import frame as frame_of
 
 
 class ReachBound(NamedTuple):
@@ -40,13 +41,14 @@ class ReachBound(NamedTuple):
         return np.maximum(away - self.longest, self.shortest - away)
 
 
+Ends = tuple[int, int]  # two of a robot's tips, by their numbers, or -1, the base: where a target is seen from, and what has it
 FAR_OFF = 10.0  # reaches: no use for a target so far away, unless its unit is another
 
 
-def millimetres(robot: Robot, positions: np.ndarray, world: bool = False) -> str | None:
+def millimetres(robot: Robot, positions: np.ndarray, world: bool = False, *, ends: Ends | None = None) -> str | None:
     """Says why positions (N, 3) [m] in the base (or the world) look like millimetres, if they do: most of them lie many times
     beyond the robot's reach, and their thousandth does not."""
-    bound = reach_bound(robot, rotation=False)
+    bound = reach_bound(robot, False, ends)
     origin = robot.world_T_base[:3, :3] @ bound.origin + robot.world_T_base[:3, 3] if world else bound.origin
     far, away = FAR_OFF * bound.longest, positions - origin
     if 2 * np.count_nonzero(np.einsum("ni,ni->n", away, away) <= far * far) > len(positions):  # quickly, since all calls ask
@@ -71,9 +73,13 @@ class _Way(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def reach_bound(robot: Robot, rotation: bool = True) -> ReachBound:
-    """Returns the bounds of a robot with concrete numbers; without `rotation` a target is the tip's position alone."""
-    ways, tip = _ways(robot)
+def reach_bound(robot: Robot, rotation: bool = True, ends: Ends | None = None) -> ReachBound:
+    """Returns the bounds of a robot with concrete numbers; without `rotation` a target is the tip's position alone. They are
+    those of the only tip, or of the way between two `ends`, in the first one's frame.
+
+    Raises `ValueError` for a robot with a list of tips, unless `ends` are given.
+    """
+    ways, tip = _ways(robot, ends)
     rotation = rotation and len(ways) > 1  # it tells nothing where no joint turns
     first, strokes = ways[0], np.array([w.stroke for w in ways])
     between = ways[1:-1] if rotation else ways[1:]  # with its rotation the tip tells where the last axis is
@@ -105,21 +111,33 @@ def _straightest(ways: list[_Way]) -> np.ndarray:
     return s
 
 
-def _ways(robot: Robot) -> tuple[list[_Way], np.ndarray]:
-    """Returns the ways from the base to the first turning axis, from axis to axis and to the only tip, and the tip in the last
-    link."""
+def _ways(robot: Robot, ends: Ends | None) -> tuple[list[_Way], np.ndarray]:
+    """Returns the ways from the base, or the first end, to the first turning axis, from axis to axis and to the tip, and the
+    tip in the last link."""
     ways, frame, stroke, last = [], np.eye(4), 0.0, np.zeros(3)
-    ends = [row_values(robot, [float(x) for x in end]) for end in (robot.lower, robot.upper)]
-    for i in robot.tree.way(robot.only_tip("reach_bound")):
-        frame = frame @ robot.parent_T_joint[i]
+    limits = [row_values(robot, [float(x) for x in end]) for end in (robot.lower, robot.upper)]
+    seen, tip = (-1, 0) if ends is None else ends
+    number = robot.only_tip("reach_bound") if ends is None else robot.tips[tip]
+    up, down = robot.tree.apart(0 if seen < 0 else robot.tips[seen], number)
+    if seen >= 0:
+        frame = _back(robot.tip_frames[seen])
+    for i, sign in (*((i, -1.0) for i in reversed(up)), *((i, 1.0) for i in down)):
+        frame = frame @ robot.parent_T_joint[i] if sign > 0.0 else frame
         axis = np.asarray(robot.axis[i])
         if robot.tree.slides[i]:
-            low, high = sorted((ends[0][i], ends[1][i]))
+            low, high = sorted((limits[0][i], limits[1][i]))
             stroke += (high - low) / 2.0
-            frame[:3, 3] += frame[:3, :3] @ axis * ((low + high) / 2.0 if np.isfinite(low + high) else 0.0)
+            frame[:3, 3] += frame[:3, :3] @ axis * (sign * (low + high) / 2.0 if np.isfinite(low + high) else 0.0)
         else:
             ways.append(_Way(last, frame[:3, 3].copy(), frame[:3, :3] @ axis, stroke))
             frame, stroke, last = np.eye(4), 0.0, axis
-    frame = frame @ robot.tip_frames[0]
+        frame = frame @ _back(robot.parent_T_joint[i]) if sign < 0.0 else frame
+    frame = frame @ robot.tip_frames[tip]
     ways.append(_Way(last, frame[:3, 3].copy(), np.zeros(3), stroke))
     return ways, frame
+
+
+def _back(a_T_b: Any) -> np.ndarray:
+    """The inverse of a rigid frame."""
+    rotation = np.asarray(a_T_b)[:3, :3].T
+    return frame_of(-rotation @ a_T_b[:3, 3], rotation)

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import Array
 from jaxik.checks.options import check_kind
-from jaxik.kinematics.forward import joint_frames, joint_sums
+from jaxik.kinematics.forward import JointFrames, joint_frames, joint_sums
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.spatial.algebra import BASE, Scalar, stack, traced
 from jaxik.spmd import kernel
@@ -49,12 +49,17 @@ def relative_jacobian(robot: Robot, q: Float[Array, " n"], seen_from: str, link:
 
 @kernel(models=1)
 def _relative_jacobian(robot: Robot, q: Any) -> jax.Array:
-    q, tree = as_configuration(robot, q), robot.tree
-    frames = joint_frames(robot, traced(q), dtype=q.dtype)
-    a, b = frames.tips
+    q = as_configuration(robot, q)
+    columns = relative_columns(robot, joint_frames(robot, traced(q), dtype=q.dtype), 0, 1)
+    return stack([column[k] for k in range(6) for column in columns], (6, robot.num_joints), q.dtype)
+
+
+def relative_columns(robot: Robot, frames: JointFrames, seen_from: int, tip: int) -> list[tuple[Scalar, ...]]:
+    """Returns the columns of `relative_jacobian`, six scalars a joint, of two of the robot's tips, by their numbers."""
+    a, b, tree = frames.tips[seen_from], frames.tips[tip], robot.tree
     back, zero = a.rotation.T, BASE.translation
     columns: list[tuple[Scalar, ...]] = [(*zero, *zero)] * len(frames.joints)
-    carries_a, carries_b = tree.apart(*robot.tips)
+    carries_a, carries_b = tree.apart(robot.tips[seen_from], robot.tips[tip])
     for rows, sign in ((carries_a, -1.0), (carries_b, 1.0)):
         for i in rows:  # those that move a alone move what it sees the other way, as far out as b is
             axis, origin = back @ frames.axes[i], frames.joints[i].translation
@@ -62,4 +67,4 @@ def _relative_jacobian(robot: Robot, q: Any) -> jax.Array:
             linear, angular = (axis, zero) if tree.slides[i] else (turning, axis)
             columns[i] = (*(linear * sign), *(angular * sign))
     felt = [joint_sums(robot, [column[k] for column in columns]) for k in range(6)]
-    return stack([x for row in felt for x in row], (6, robot.num_joints), q.dtype)
+    return [tuple(component[j] for component in felt) for j in range(robot.num_joints)]

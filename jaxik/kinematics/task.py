@@ -16,20 +16,14 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
-from typing import Any, Literal, get_args
+from collections.abc import Sequence
+from typing import Literal, get_args
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
-from jaxik.checks.arrays import Array
 from jaxik.checks.options import check_choices, shown
-from jaxik.kinematics.forward import joint_frames
-from jaxik.kinematics.robot import Robot
-from jaxik.spatial.algebra import Frame, Rot3, Scalar, Vec3, add, atan2, sub, traced
+from jaxik.spatial.algebra import Frame, Rot3, Scalar, Vec3, add, atan2, sub
 from jaxik.spatial.rotations import rotation_swing, rotation_vector
-from jaxik.spmd import kernel
 
 Axes = Literal["tool", "base"]
 Component = Literal["x", "y", "z", "roll", "pitch", "yaw"]
@@ -41,11 +35,14 @@ COMPONENTS: tuple[str, ...] = get_args(Component)
 class Task:
     """The components of (x, y, z, roll, pitch, yaw) that a target binds, along and about the axes of the target or of the base.
 
-    Made by `Task.pose(free=("yaw",))`, `Task.position()` or `Task.pointing()`.
+    Made by `Task.pose(free=("yaw",))`, `Task.position()` or `Task.pointing()`. `tip` names the tip, or any link, that has the
+    target, and `relative` the one in whose frame the target is; without names they are the robot's own tip, and the base.
     """
 
     bound: tuple[bool, ...] = (True,) * 6
     axes: str = "tool"
+    tip: str | None = None
+    relative: str | None = None
 
     def __post_init__(self) -> None:
         each = tuple(self.bound) if isinstance(self.bound, list | tuple | np.ndarray) else ()
@@ -53,26 +50,37 @@ class Task:
             raise ValueError(f"task: bound {shown(self.bound)}; six booleans for {', '.join(COMPONENTS)}, at least one true")
         object.__setattr__(self, "bound", tuple(bool(b) for b in each))  # hashable: a task is a cache's key
         check_choices("task", axes=(self.axes, Axes))
+        for name in ("tip", "relative"):
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, str):
+                raise ValueError(f"task: {name} is {shown(value)}; write the name of a tip or a link")
+        if self.relative is not None and self.relative == self.tip:
+            raise ValueError(f"task: '{shown(self.tip)}' relative to itself never moves; name another link in relative=")
 
     @staticmethod
-    def pose(free: Sequence[str] = (), *, axes: str = "tool") -> Task:
+    def pose(free: Sequence[str] = (), *, axes: str = "tool", tip: str | None = None, relative: str | None = None) -> Task:
         """A pose, but for the components of x, y, z, roll, pitch, yaw that are `free`, along and about the `axes` of the target
-        ("tool") or of the "base". Raises `ValueError` for another word."""
+        ("tool") or of the "base"; of a relative task "base" is what it is relative to. Raises `ValueError` for another word."""
         names = (free,) if isinstance(free, str) else tuple(free)
         for name in names:
             check_choices("task", free=(name, Component))
-        return Task(tuple(name not in names for name in COMPONENTS), axes)
+        return Task(tuple(name not in names for name in COMPONENTS), axes, tip, relative)
 
     @staticmethod
-    def position() -> Task:
+    def position(*, tip: str | None = None, relative: str | None = None) -> Task:
         """The tip's position, however it is turned."""
-        return Task.pose(("roll", "pitch", "yaw"), axes="base")
+        return Task.pose(("roll", "pitch", "yaw"), axes="base", tip=tip, relative=relative)
 
     @staticmethod
-    def pointing(along: str = "z") -> Task:
+    def pointing(along: str = "z", *, tip: str | None = None, relative: str | None = None) -> Task:
         """The tip's position and where its x, y or z points, about which it may turn. Raises `ValueError` for another axis."""
         check_choices("task", along=(along, Direction))
-        return Task.pose(COMPONENTS[3 + "xyz".index(along)])
+        return Task.pose(COMPONENTS[3 + "xyz".index(along)], tip=tip, relative=relative)
+
+    @property
+    def unnamed(self) -> Task:
+        """The same components of the robot's own tip in the base."""
+        return self if self.tip is None and self.relative is None else Task(self.bound, self.axes)
 
     @functools.cached_property
     def positions(self) -> tuple[int, ...]:
@@ -88,7 +96,13 @@ class Task:
         return self.axes == "tool" and not all(self.bound)
 
     def residual(self, tip: Frame, target: Frame) -> tuple[list[Scalar], list[Scalar]]:
-        """The bound components of position [m] and rotation [rad]."""
+        """The bound components of position [m] and rotation [rad].
+
+        Raises `ValueError` for a task of a named tip: who has only the robot's own does not know it.
+        """
+        if self.unnamed is not self:
+            name = shown(self.tip if self.relative is None else self.relative)
+            raise ValueError(f"task: it names '{name}', and here the robot's own tip is meant; take robot.with_tips(name)")
         back, apart = target.rotation.T, tip.translation - target.translation
         linear = back @ apart if self._in_tool else apart
         turned = lambda: back @ tip.rotation if self._in_tool else tip.rotation @ back
@@ -105,18 +119,6 @@ class Task:
 
 POSE = Task()
 POSITION = Task.position()
-
-
-def residual(robot: Robot, target: Float[Array, "4 4"], task: Task = POSE) -> Callable[[Any], Any]:
-    """Returns the function of q (n,) that gives the tip's error from the target: the bound components [m], [rad]."""
-
-    @kernel
-    def missed(q: Any) -> Any:
-        tip = joint_frames(robot, traced(q), dtype=q.dtype).tip
-        position, rotation = task.residual(tip, Frame.of_entries(traced(jnp.asarray(target, q.dtype))))
-        return jnp.stack(position + rotation)
-
-    return missed
 
 
 def _rotation(e: Rot3, kept: tuple[int, ...]) -> list[Scalar]:

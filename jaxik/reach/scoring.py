@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from jaxik.analytic.solutions import BRANCHES, closed_forms
 from jaxik.checks.arrays import Array, as_numbers, numbers
-from jaxik.checks.options import as_count, check_finite
+from jaxik.checks.options import as_count, check_finite, check_kind
 from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.clearances import check_geometry, clearance
 from jaxik.collision.scene import Scene
@@ -104,6 +104,8 @@ def log_reach_score(
 ) -> Float[Array, ""]:
     """The logarithm of `reach_score`, to add up over targets and climb: it has a slope metres away too, where the score itself
     is 0 to the last bit. Traced. Raises `ValueError` for other shapes."""
+    check_kind("reach_score", "robot", robot, Robot)
+    robot.only_tip("reach_score")
     looked, poses, q = is_looked_at("reach_score", robot, scene, collision), as_numbers("poses", poses), as_numbers("q", q)
     if poses.shape != (*q.shape[:1], 4, 4) or q.shape[1:] != (robot.num_joints,) or not len(q):
         raise ValueError(
@@ -172,6 +174,7 @@ def likely_postures(
     with `collision=False` no clearance counts. Raises `ValueError` where the robot has no closed form, or no pose is one.
     """
     looked = is_looked_at("likely_postures", robot, scene, collision)
+    robot.only_tip("likely_postures")
     poses, count = numbers("likely_postures: poses", poses, ("N", 4, 4)), as_count("likely_postures: count", count)
     check_finite("likely_postures", margin=margin)
     if not np.isfinite(poses).all(axis=(1, 2)).any():

@@ -49,7 +49,7 @@ def answer(study: Study, variant: Variant, rows: slice) -> Columns:
     base_T_frame = base_T_world if study.targets.frame == "world" else None
     poses, valid = study.targets.poses_at(np.arange(rows.start, rows.stop), base_T_frame), np.ones(count, bool)
     if study.targets.poses is not None:  # someone else's, who may have got them wrong
-        poses, fault, _ = Poses.of(poses, study.ik.task)
+        poses, fault, *_ = Poses.of(poses, study.ik.task)
         valid = fault == 0
     around = _Around.of(study, robot, rows, base_T_world) if study.collision else None
     solve = _closed_form if study.method(robot) == "closed form" else _search

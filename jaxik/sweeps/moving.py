@@ -63,7 +63,7 @@ def _poses(study: Study, variant: Variant, rows: slice, base_T_world: np.ndarray
     base_T_frame = base_T_world if study.targets.frame == "world" else None
     poses = study.targets.poses_at(np.arange(rows.start, rows.stop), base_T_frame)
     if study.targets.poses is not None:  # someone else's, who may have got them wrong
-        poses, fault, _ = Poses.of(poses, study.ik.task)
+        poses, fault, *_ = Poses.of(poses, study.ik.task)
         poses = np.where((fault == 0)[:, None, None], poses, np.nan)
     return np.tile(np.array(variant.start), (len(poses), 1)), poses
 

@@ -128,8 +128,9 @@ def _programs(robot):
     from jaxik.ik.refinement import FINISH
     from jaxik.ik.sqp_programs import SEARCH
     from jaxik.kinematics.task import POSE
+    from jaxik.kinematics.tasks import Tasks
 
-    return [sqp_programs.batch(3, sqp_programs.settle, robot, POSE, options) for options in (SEARCH, FINISH)]
+    return [sqp_programs.batch(3, sqp_programs.settle, robot, Tasks.alone(POSE), options) for options in (SEARCH, FINISH)]
 
 
 def test_reasons(panda):
