@@ -52,11 +52,12 @@ OF_MOTIONS = "order", "home", "place", "leaves", "approach", "candidates", "dt"
 class HarvestArguments(HARVEST, MOTIONS, ShapedRobotArguments):
     """The best collision-free posture for every fruit of a scene, as a table, a file and a picture; and the motions."""
 
+    SEVERAL: ClassVar[bool] = True
     robot: str = "p6r"
     """A shipped model or a robot file (.urdf, .xml, .toml)."""
     arms: int | None = None
     """Arms that harvest at the same time, as many as the robot has tips unless given; 2: two of a shipped robot on one rail
-    (p6r_pair for p6r), or those to two tips of a file: --tip LEFT,RIGHT."""
+    (p6r_pair for p6r), or those to two tips of a file: --tip LEFT --tip RIGHT."""
     scene: str = "cucumber_row"
     """A shipped scene or a scene file (.toml, or labelled points as .csv or .ply)."""
     motions: bool = False
@@ -104,14 +105,11 @@ class HarvestArguments(HARVEST, MOTIONS, ShapedRobotArguments):
             raise ValueError(f"--arms {self.arms}: allowed: 1 to {MOST}")
         pair = f"{self.robot}_pair"
         name = pair if self.arms == MOST and (models_folder() / f"{pair}.toml").is_file() else self.robot
-        how = self.loading()
-        if self.tip is not None and "," in self.tip:
-            how["tip"] = self.tip.split(",")
-        robot = jaxik.load(name, **how)
+        robot = jaxik.load(name, **self.loading())
         count = len(arms_of(robot, "harvest"))
         if self.arms not in (None, count):
             mend = (
-                "give --tip LEFT,RIGHT, or --robot p6r" if count < MOST else f"leave it out, or give --tip {robot.tip_names[0]}"
+                "give --tip LEFT --tip RIGHT, or --robot p6r" if count < MOST else f"leave it out, or give --tip {robot.tip_names[0]}"
             )
             raise ValueError(f"--arms {self.arms}: {robot.name} has {count} {'arm' if count == 1 else 'arms'}; {mend}")
         return robot
