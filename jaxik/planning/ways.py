@@ -115,7 +115,7 @@ def _proven_ways(
         for _ in range(TRIES):
             if not len(left) or clock.over:
                 break
-            _searched(searches, left, look, cushion, limit, clock)
+            search_on(searches, left, look, cushion, limit, clock)
             left = left[searches.found.joined[left]]  # the others look closer
             if not len(left):
                 break
@@ -151,6 +151,11 @@ class Clock:
         self.progress, self.searches, self.ended = progress, searches, 0
 
     @property
+    def left(self) -> float:
+        """The seconds that are left, none less than 0."""
+        return max(0.0, self.end - time.monotonic())
+
+    @property
     def over(self) -> bool:
         return time.monotonic() > self.end
 
@@ -175,7 +180,7 @@ def kept_of(kept: np.ndarray, cushion: float) -> np.ndarray:
     return np.max(PARTS * cushion * (PARTS * cushion <= kept[:, None]), axis=1)
 
 
-def _searched(searches: Searches, rows: np.ndarray, look: Look, cushion: np.ndarray, limit: np.ndarray, clock: Clock) -> None:
+def search_on(searches: Searches, rows: np.ndarray, look: Look, cushion: np.ndarray, limit: np.ndarray, clock: Clock) -> None:
     """Searches on in such rows until the trees of each meet, so many rounds are taken in all, the time is over, or a tree is
     walled in."""
     looked, before = searches.taken.copy(), searches.found.count.copy()
