@@ -43,8 +43,8 @@ class Goal(NamedTuple):
     elsewhere: tuple[str, ...] = ()
 
 
-def load_robot(folder: Path, tip: str | None = None) -> jaxik.Robot:
-    """The folder's robot with its collision geometry, up to the link `tip`."""
+def load_robot(folder: Path, tip: str | list[str] | None = None) -> jaxik.Robot:
+    """The folder's robot with its collision geometry, up to the link `tip`, or the tree of several."""
     urdf, srdf = files(folder)
     read = not urdf.stem.endswith("_spherized")
     load = lambda **how: jaxik.load(urdf, tip=tip or end_effector(srdf), srdf=srdf, **how)

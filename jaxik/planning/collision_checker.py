@@ -72,13 +72,16 @@ class CollisionChecker:
         asked[:, :-1], asked[:, -1] = q - whole_turns(self.endless, q), self.margin + np.asarray(cushion, np.float32)
         return self._first_by_volumes(among, asked, lambda world, rows, at: world.each(_hits, rows, at))
 
-    def free_part(self, start: np.ndarray, end: np.ndarray, step: float, among: np.ndarray | None = None) -> np.ndarray:
-        """The part (b,) of each straight motion before its first sample that hits, with samples every `step` [m]; 1 is all."""
+    def free_part(
+        self, start: np.ndarray, end: np.ndarray, step: float, among: np.ndarray | None = None, cushion: Any = None
+    ) -> np.ndarray:
+        """The part (b,) of each straight motion before its first sample that hits, with samples every `step` [m] that keep a
+        `cushion` (b,), the checker's own if it is not told [m]; 1 is all."""
         counts = np.maximum(1, np.ceil(self.length(end - start) / step)).astype(int)
         row = np.repeat(np.arange(len(start)), counts)
         number = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts) + 1
         q = start[row] + (number / counts[row])[:, None] * (end - start)[row]
-        hit = np.flatnonzero(self.hits(q, self.cushion, _of(among, row)))
+        hit = np.flatnonzero(self.hits(q, self.cushion if cushion is None else cushion[row], _of(among, row)))
         part = np.ones(len(start))
         rows, first = np.unique(row[hit], return_index=True)
         part[rows] = (number[hit[first]] - 1) / counts[rows]

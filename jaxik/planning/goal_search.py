@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from jaxik.planning.collision_checker import CollisionChecker
-from jaxik.planning.limits import AnyLimits
 from jaxik.planning.limb_ways import limb_ways
+from jaxik.planning.limits import AnyLimits
 from jaxik.planning.motion_ends import other_ways
 from jaxik.planning.ways import Found
 

@@ -73,7 +73,9 @@ def limb_ways(
     if rows:
         tell = lambda more, ended: progress and progress(int(taken[0]) + more, len(starts) - len(rows) + ended)
         left = None if seconds is None else clock.left / len(rows)
-        again = proven_ways(space, starts[rows], [goals[i] for i in rows], seed, (rounds - taken)[rows], left, tell, among[rows])
+        again = proven_ways(
+            space, starts[rows], [goals[i] for i in rows], seed, (rounds - taken)[rows], left, tell, among[rows]
+        )
         found.rounds[rows] += again.rounds
         found.checked[rows] += again.checked
         for i, way, gap in zip(rows, again.ways, again.gaps, strict=True):
@@ -82,8 +84,8 @@ def limb_ways(
 
 
 class Legs:
-    """The searches for ways from each start (b, n) to its nearest goal, limb by limb, in an order and in the reverse: a leg is one
-    limb's, of the problem `of` and the `order` (l,), from (l, n) to (l, n)."""
+    """The searches for ways from each start (b, n) to its nearest goal, limb by limb, in an order and in the reverse: a leg is
+    that of one limb, in the problem `of` (l,) and the `order` (l,)."""
 
     def __init__(
         self,
@@ -136,7 +138,7 @@ class Legs:
         return found
 
     def _sought(self, found: Found, rows: np.ndarray, look: Look, limit: np.ndarray, clock: Clock) -> None:
-        """Searches on in the legs `rows`, up to a `limit` (b,) of rounds each, and puts ways where all legs of a problem end."""
+        """Searches on in such legs, up to a `limit` (b,) of rounds each, and puts ways where all those of a problem arrive."""
         searches, cushion = self.searches, kept_of(self.kept, look.cushion)
         search_on(searches, rows[~searches.found.joined[rows]], look, cushion, limit[self.of], clock)
         joined = searches.found.joined
@@ -144,8 +146,8 @@ class Legs:
         if not some:
             return
         legs = [rows[self.of[rows] == i].tolist() for i in some]
-        whole = [np.concatenate([searches.way(first), *(searches.way(k)[1:] for k in others)]) for first, *others in legs]
         least = np.array([cushion[each].min() for each in legs])
+        whole = self._whole([[searches.way(k) for k in each] for each in legs], look.step, least, self.among[some])
         ways, looked = shortened(self.space, whole, look.step, least, self.among[some])
         found.checked[some] += looked
         for i, way, each in zip(some, ways, legs, strict=True):
@@ -156,3 +158,27 @@ class Legs:
             found.ways[i] = way + self.turns[i]
             found.ways[i][0], found.ways[i][-1] = self.starts[i], self.goals[i]  # to the last bit
             clock.ended += 1
+
+    def _whole(self, legs: list[list[np.ndarray]], step: float, cushion: np.ndarray, among: np.ndarray) -> list[np.ndarray]:
+        """The way that legs make: all at once, each as far of its own as the others, or one after the other where that hits."""
+        several = [i for i, each in enumerate(legs) if len(each) > 1]
+        ways = [np.concatenate([first, *(leg[1:] for leg in others)]) for first, *others in legs]
+        if several:
+            at_once = [self._at_once(legs[i]) for i in several]
+            begin, end = (np.concatenate([way[some] for way in at_once]) for some in (slice(-1), slice(1, None)))
+            row = np.repeat(several, [len(way) - 1 for way in at_once])
+            free = self.space.free_part(begin, end, step, among[row], cushion[row]) == 1.0
+            for i, way in zip(several, at_once, strict=True):
+                ways[i] = way if free[row == i].all() else ways[i]
+        return ways
+
+    def _at_once(self, legs: list[np.ndarray]) -> np.ndarray:
+        """The way (k, n) from the start of the first leg on which all limbs begin and end together."""
+        along = [np.concatenate([[0.0], np.cumsum(self.space.length(np.diff(leg, axis=0)))]) for leg in legs]
+        shares = [each / each[-1] for each in along]
+        every = np.unique(np.concatenate(shares))
+        moved = [
+            np.stack([np.interp(every, share, x) for x in (leg - leg[0]).T], axis=1)
+            for share, leg in zip(shares, legs, strict=True)
+        ]
+        return legs[0][0] + np.sum(moved, axis=0)
