@@ -33,7 +33,7 @@ from jaxik.planning.ways import (
 )
 from jaxik.spmd.trace import TEAM_SIZE
 
-LIMB_LOOKS = (LOOKS[0], 1 / 64), (LOOKS[0], 1 / 8), (LOOKS[2], 1 / 4)  # and the share of all rounds, for all legs, until which
+LIMB_LOOKS = (LOOKS[0], 1 / 64), (LOOKS[0], 1 / 4), (LOOKS[2], 1 / 2)  # and the share of all rounds, for all legs, until which
 # those of one order are sought before those of the other
 
 
@@ -127,7 +127,7 @@ class Legs:
         found = Found([None] * count, np.zeros(count, int), np.zeros(count, int), [None] * count)
         bound = np.zeros((2, count), bool)  # to fail: an end of a leg all but touches something
         np.logical_or.at(bound, (self.order, self.of), self.kept <= 0.0)
-        legs = np.bincount(self.of, minlength=count)
+        legs = np.maximum(1, np.bincount(self.of[~bound[self.order, self.of]], minlength=count))
         for look, share in LIMB_LOOKS:
             limit = np.ceil(share * rounds / legs).astype(int)
             for order in range(2):
