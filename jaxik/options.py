@@ -116,6 +116,18 @@ def per_joint(*, default: Any = None, words: str, unit: str = "", lone: bool = T
     return _declared(default, unit, words, lambda who, name, value: positive(f"{who}: {name}{told}", value, lone))
 
 
+def names(*, default: Any = (), words: str) -> Any:
+    """Names, one or several of them, kept as a tuple."""
+
+    def kept(who: str, name: str, value: Any) -> tuple[str, ...]:
+        several = (value,) if isinstance(value, str) else value
+        if not isinstance(several, list | tuple) or not all(isinstance(each, str) for each in several):
+            raise ValueError(f"{who}: {name} is {shown(value)}; write a name, or a list of names")
+        return tuple(several)
+
+    return _declared(default, "", words, kept)
+
+
 def instance(*, default: Any = REQUIRED, words: str, kind: type, optional: bool = False, kw_only: bool = True) -> Any:
     """An object of a `kind`; or None, where that is `optional`. Unless `kw_only` it may be given by its place."""
 
@@ -132,7 +144,9 @@ def anything(*, default: Any = REQUIRED, words: str, unit: str = "") -> Any:
 
 
 @dataclass_transform(
-    frozen_default=True, kw_only_default=True, field_specifiers=(number, count, choice, flag, per_joint, instance, anything)
+    frozen_default=True,
+    kw_only_default=True,
+    field_specifiers=(number, count, choice, flag, per_joint, names, instance, anything),
 )
 class Options:
     """A subclass is a frozen dataclass, made by keywords, each of whose fields is declared by one of this module's functions.

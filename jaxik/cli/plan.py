@@ -28,6 +28,7 @@ FLAGS = flags(
     improves=str,
     winding=float | None,
     escape=bool,
+    moving=tuple[str, ...],
 )
 
 

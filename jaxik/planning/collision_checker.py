@@ -34,6 +34,7 @@ class CollisionChecker:
 
     `weights` (n,) are the most that a joint's unit moves the robot [m], by which distances between configurations are measured.
     `lower` and `upper` (n,) are the robot's limits, and those of `winding` [rad] for joints without any, if it is told.
+    `moves` (n,) are the joints that ways move, all of them where it is None.
     `checked` counts the configurations that were checked. Volumes of the robot that are JAX arrays are operands of its kernels:
     one serves all that an arm carries, if it has as many volumes."""
 
@@ -44,6 +45,7 @@ class CollisionChecker:
         margin: float,
         cushion: float = 0.0,
         winding: float | None = None,
+        moves: np.ndarray | None = None,
     ):
         self.world = World(robot, scene)
         self.volumes = World(by_volumes(robot), scene) if robot.surfaces else None
@@ -51,6 +53,7 @@ class CollisionChecker:
         self.margin, self.cushion = np.float32(margin), np.float32(cushion)
         self.endless = endless(robot)
         self.lower, self.upper = wound(robot, winding)
+        self.moves = moves
         self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, robot) if self.world.body.carried else robot)
         self.checked = 0
 

@@ -16,7 +16,7 @@ from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
-from jaxik.options import Options, choice, count, flag, instance, number, per_joint
+from jaxik.options import Options, choice, count, flag, instance, names, number, per_joint
 from jaxik.planning.cells import JOINTS, separated
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.escape import escaped, led_out
@@ -28,6 +28,7 @@ from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, re
 from jaxik.planning.path_parts import Part
 from jaxik.planning.plan_result import Place, PlanResult
 from jaxik.planning.sooner import sooner
+from jaxik.planning.standing import check_standing, moving_joints, standing_postures, stood, tip_that_moves
 from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory, padded
 from jaxik.planning.ways import LOOKS, blended
@@ -86,6 +87,11 @@ class PlanOptions(Options, who="plan_motion"):
         words="how far joints without limits may be from zero on the way, for what hangs on them; None is as far as they like",
     )
     escape: bool = flag(default=False, words="whether a start in collision or outside its limits is first led out of that")
+    moving: Any = names(
+        default=(),
+        words="tips, groups or joints, by name, whose joints are the only ones that move; all others stand as in the start, "
+        "and a pose is that of the only tip that is named",
+    )
     places: int = count(
         default=128, words="number of places at which the speed is chosen (`time_path`), twice as many within a jerk limit"
     )
@@ -117,11 +123,12 @@ def plan_motion(
     in, within `winding` of zero (`PlanResult.turns`); joints with limits meet a configuration as it is, a pose on any turn.
     With `escape` a start in collision, or outside the limits, is first led back inside, and out along the steepest clearance,
     as far as 2 mm more than the margin: on lines on which the clearance falls nowhere that it is below the margin, at samples
-    half a millimetre apart, not proven (`PlanResult.escaped`). The straight line is taken where it is
-    proven by `motion_clearance`'s bound. Else two trees find a way, and the shortest of the lines between its
-    points that are proven is taken; its corners are rounded as far as that is proven, too; `time_path` times it. `seed`
-    decides. `progress` is called with the motions that are done and their number; of a single one with rounds of the search.
-    `changes` are fields of `PlanOptions`.
+    half a millimetre apart, not proven (`PlanResult.escaped`). The straight line is taken where it is proven by
+    `motion_clearance`'s bound. Else two trees find a way, of a robot of several limbs for one limb after the other, if that
+    leads there, and the shortest of the lines between its points that are proven is taken; its corners are rounded as far as
+    that is proven, too; `time_path` times it. With `moving`, such as the one arm of two that is named by its tip, all other
+    joints stand. `seed` decides. `progress` is called with the motions that are done and their number; of a single one with
+    rounds of the search. `changes` are fields of `PlanOptions`.
 
     Reasons: SOLVED; INVALID, NaN in the start or the goal; LIMITS, COLLISION of the `start` or the `goal`, whichever is in
     `where`; OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED, no way found within the rounds and the timeout
@@ -143,6 +150,8 @@ def plan_motion(
         mend = f"time its way anew by planning.time_path(moved.trajectory.path, robot=robot, {name}=...)"
         raise ValueError(f"plan_motion: {name} is no option; {mend}, or ask optimise_trajectory, which has {name}=")
     options = PlanOptions.chosen(options, changes)
+    if options.moving and options.escape:
+        raise ValueError("plan_motion: a way out of a collision moves all joints; leave out escape or moving")
     check_geometry(robot)
     found = _planned(robot, scene, asked, seed, options, progress)
     return found[0] if asked.single else found
@@ -160,7 +169,8 @@ def _planned(
     limits = motion_limits("plan_motion", robot, options.velocity, options.acceleration, (robot.num_joints,))
     jerk = None if options.jerk is None else limit_of("plan_motion", "jerk", options.jerk, (robot.num_joints,))
     pace = limits.within(jerk)
-    space = CollisionChecker(robot, scene, options.margin, winding=options.winding)
+    moves = moving_joints("plan_motion", robot, options.moving)
+    space = CollisionChecker(robot, scene, options.margin, winding=options.winding, moves=moves)
     space.prepare()
     among = np.arange(len(asked.starts)) if space.world.several else np.zeros(len(asked.starts), int)
     places = _places(robot, scene, space, options, len(asked.starts))
@@ -175,6 +185,7 @@ def _planned(
     rounds, checked = _search(
         space, places, ways, starts, sought, ended, asked.poses is None, escapes, seed, options, pace, told, among
     )
+    stood(space, ways, starts)
     finish = Finish(space, limits, jerk, options.places, escapes, among)
     if options.improve:
         _improve(finish, ways, seed, options)
@@ -313,8 +324,13 @@ def _goals(
     bounds = space.lower, space.upper
     if asked.poses is None:
         goals = turned(robot, starts, asked.goals, *bounds)
+        if space.moves is not None:
+            goals = check_standing("plan_motion", robot, space.moves, starts, goals)
         return Answers(np.zeros(len(starts), int), goals, np.full_like(starts, np.nan))
     bound = options.postures, limits, seed, options.task, options.margin, bounds
+    if space.moves is not None:
+        tip = tip_that_moves(robot, options.moving)
+        return standing_postures(tip, scene, space.moves, starts, asked.poses, *bound)
     return postures_of_each(robot, scene, starts, asked.poses, *bound)
 
 
