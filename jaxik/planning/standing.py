@@ -56,7 +56,7 @@ def check_standing(who: str, robot: Robot, moves: np.ndarray, starts: np.ndarray
     if len(off):
         i, g, j = off[0].tolist()
         raise ValueError(
-            f"{who}: {robot.joint_names[j]} stands at {starts[i, j]:.6g}, since moving= leaves it out, and the goal of problem {i} "
+            f"{who}: {robot.joint_names[j]} stands at {starts[i, j]:.6g}: moving= leaves it out; but the goal of problem {i} "
             f"has it at {goals[i, g, j]:.6g}; name it in moving=, or give the start's value"
         )
     return np.where(moves | np.isnan(goals), goals, starts[:, None])
