@@ -18,30 +18,43 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from jaxik.checks.options import shown
 from jaxik.kinematics.relative import relative_jacobian, relative_pose
 from jaxik.kinematics.robot import Robot
+from jaxik.optimise.linear import column, definite_solve, dot
 from jaxik.planning.trajectory import JointPath
 from jaxik.spatial.rotations import rotation_log
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
 CLOSE = 1e-9  # [m, rad] of a residual, at which a configuration is on the constraint
-NEWTON = 8  # steps at most
+NEWTON = 4  # steps from what a stride has moved off the constraint
+STRIDES = 16  # of a walk, in one call
+PROGRESS = 0.1  # of a stride, by which it comes nearer to what it goes to at least
 PARTS = 64  # samples of a piece of a path, at most
 
 
 class KeptPose:
     """The pose of the tip `names[1]` as `names[0]` sees it, which is to stay as it is at `q` (n,), within a `tolerance` (2,) of
-    its place [m] and of its turn [rad]. Raises `ValueError` for what are no two tips or links, and where no joint moves one of
-    them against the other."""
+    its place [m] and of its turn [rad]; configurations are sought within `bounds` (n,), (n,).
 
-    def __init__(self, who: str, robot: Robot, names: tuple[str, ...], q: np.ndarray, tolerance: np.ndarray):
+    Raises `ValueError` for what are no two tips or links, and where no joint moves one of them against the other.
+    """
+
+    def __init__(
+        self,
+        who: str,
+        robot: Robot,
+        names: tuple[str, ...],
+        q: np.ndarray,
+        tolerance: np.ndarray,
+        bounds: tuple[np.ndarray, np.ndarray],
+    ):
         if len(names) != 2:
             raise ValueError(f"{who}: keep is {shown(names)}; write the two tips whose relative pose is kept, by their names")
-        self.robot, self.tolerance = robot.with_tips(list(names)), tolerance
-        self.lower, self.upper = np.asarray(robot.lower, float), np.asarray(robot.upper, float)
+        self.robot, self.tolerance, (self.lower, self.upper) = robot.with_tips(list(names)), tolerance, bounds
         pairs = self.robot.tree.apart(*self.robot.tips)
         if not any(pairs):
             raise ValueError(f"{who}: keep: no joint moves {names[1]} against {names[0]}; name the tips of two arms")
@@ -59,10 +72,10 @@ class KeptPose:
         return _sizes(self.seen(q)[0])
 
     def brought(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Configurations (b, n) on the constraint and inside the limits, near those that are given, and which are there (b,)."""
+        """Configurations (b, n) on the constraint and within the bounds, near those given; and which are there (b,)."""
         q = np.clip(q, self.lower, self.upper)
         residual, slope, _ = self.seen(q)
-        for _ in range(NEWTON):
+        for _ in range(2 * NEWTON):
             left = np.abs(residual).max(axis=1) > CLOSE
             if not left.any():
                 break
@@ -72,6 +85,16 @@ class KeptPose:
             q[left] = np.clip(q[left] - step, self.lower, self.upper)
             residual[left], slope[left] = self.seen(q[left])[:2]
         return q, np.abs(residual).max(axis=1) <= 10.0 * CLOSE
+
+    def walked(
+        self, start: np.ndarray, target: np.ndarray, weights: np.ndarray, step: float, exact: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """So many `STRIDES` of at most a `step` [m] from each start towards a target (b, n), which are on the constraint, the
+        targets only if that is `exact`: where each stride ends (b, strides, n), how many there are before one brings it no
+        nearer (b,), and whether the last one arrives (b,). Lengths are those of joints times `weights`."""
+        how = self.wanted, weights, self.lower, self.upper, np.array([step, float(exact)])
+        points, count, arrives = in_blocks(_walked(self.robot), start, target, fixed=how, double=True)
+        return points, count, arrives.astype(bool)
 
     def bounds(self, path: JointPath) -> np.ndarray:
         """The most that each piece (k, 2) of a path of cubics is off, between samples, too, in place and turn [m, rad]; for
@@ -108,17 +131,54 @@ def _sizes(residual: np.ndarray) -> np.ndarray:
     return np.linalg.norm(residual.reshape(-1, 2, 3), axis=2)
 
 
-@host_kernels(1)
-def _seen(robot: Robot, q: Any, wanted: Any) -> tuple[Any, Any, Any]:
+def seen(robot: Robot, q: Any, wanted: Any) -> tuple[Any, Any, Any]:
+    """The residual (6,) of a robot's second tip, as its first one sees it, from a pose (4, 4); its derivative (6, n), and the
+    pose. Traced."""
     names = robot.tip_names
     pose, slope = relative_pose(robot, q, *names), relative_jacobian(robot, q, *names)
     turned = rotation_log(pose[:3, :3] @ wanted[:3, :3].T)
     return jnp.concatenate([pose[:3, 3] - wanted[:3, 3], turned]), slope, pose
 
 
+_seen = host_kernels(1)(seen)
+
+
+@host_kernels(2)
+def _walked(
+    robot: Robot, q: Any, target: Any, wanted: Any, weights: Any, lower: Any, upper: Any, how: Any
+) -> tuple[Any, Any, Any]:
+    step, exact = how[0], how[1] > 0.0
+    length = lambda moved: jnp.sqrt(jnp.sum((moved * weights) ** 2))
+    inside = lambda q: jnp.clip(q, lower, upper)
+
+    def newton(_: Any, q: Any) -> Any:
+        residual, slope, _ = seen(robot, q, wanted)
+        rows = [[slope[i, k] for k in range(len(weights))] for i in range(6)]
+        normal = [[dot(rows[i], rows[j]) + (1e-9 if i == j else 0.0) for j in range(i + 1)] for i in range(6)]
+        pull = definite_solve(normal, [residual[i] for i in range(6)], 0.0)
+        return inside(q - jnp.stack([dot(column(rows, k), pull) for k in range(len(weights))]))
+
+    def stride(state: tuple[Any, ...], _: Any) -> Any:
+        q, going, count, arrives = state
+        far = length(target - q)
+        last = exact & (far <= step)
+        aim = inside(q + jnp.minimum(1.0, step / jnp.maximum(far, 1e-12)) * (target - q))
+        new = lax.fori_loop(0, NEWTON, newton, aim)
+        there = jnp.max(jnp.abs(seen(robot, new, wanted)[0])) <= 10.0 * CLOSE
+        nearer = far - length(target - new) > PROGRESS * jnp.minimum(far, step)
+        there = last | (there & nearer & (length(new - q) <= 2.0 * step))
+        on = going & there
+        new = jnp.where(on, jnp.where(last, target, new), q)
+        return (new, on & ~last, count + on, arrives | (on & last)), new
+
+    start = q, jnp.bool_(True), jnp.int32(0), jnp.bool_(False)
+    (_, _, count, arrives), points = lax.scan(stride, start, None, STRIDES)
+    return points, count, arrives.astype(jnp.int32)
+
+
 def _chain(robot: Robot, before: tuple[int, ...], behind: tuple[int, ...]) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    """The joints between two tips: how much each of the robot's moves each (m, n), and bounds of derivatives of the place, by two
-    of them (m, m), of the turn by each (m,), and of the place by each (m,)."""
+    """The joints between two tips: how much each of the robot's moves each (m, n), and bounds of derivatives of the place by
+    two of them (m, m), of the turn by each (m,), and of the place by each (m,)."""
     tree, (_, tip) = robot.tree, robot.tip_frames
     far = lambda frame: float(np.linalg.norm(np.asarray(frame)[:3, 3]))
     n, factors = robot.num_joints, np.ones(len(tree.parents))

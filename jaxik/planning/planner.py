@@ -16,13 +16,14 @@ from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
-from jaxik.options import Options, choice, count, flag, instance, names, number, per_joint
+from jaxik.options import Options, choice, count, flag, instance, names, number, pair, per_joint
 from jaxik.planning.cells import JOINTS, separated
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.escape import escaped, led_out
 from jaxik.planning.goal_search import searched
 from jaxik.planning.improvement import improved
 from jaxik.planning.jerk_timing import smooth_laws
+from jaxik.planning.kept_ways import kept_ways
 from jaxik.planning.limits import AnyLimits, Limits, limit_of, motion_limits
 from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, reached, turned
 from jaxik.planning.path_parts import Part
@@ -92,6 +93,14 @@ class PlanOptions(Options, who="plan_motion"):
         words="tips, groups or joints, by name, whose joints are the only ones that move; all others stand as in the start, "
         "and a pose is that of the only tip that is named",
     )
+    keep: Any = names(
+        default=(),
+        words="two tips or links, by name, that hold one thing: on the whole way the second stays where the first one sees it "
+        "at the start, proven between samples",
+    )
+    keep_within: Any = pair(
+        default=(1e-4, 1e-4), unit="m, rad", words="how far off the kept pose may be in its place, and in its turn"
+    )
     places: int = count(
         default=128, words="number of places at which the speed is chosen (`time_path`), twice as many within a jerk limit"
     )
@@ -127,8 +136,10 @@ def plan_motion(
     `motion_clearance`'s bound. Else two trees find a way, of a robot of several limbs for one limb after the other, if that
     leads there, and the shortest of the lines between its points that are proven is taken; its corners are rounded as far as
     that is proven, too; `time_path` times it. With `moving`, such as the one arm of two that is named by its tip, all other
-    joints stand. `seed` decides. `progress` is called with the motions that are done and their number; of a single one with
-    rounds of the search. `changes` are fields of `PlanOptions`.
+    joints stand. With `keep` two tips hold one thing: their relative pose stays that of the start within `keep_within` on the
+    whole way, a spline, which is proven as well; its `waypoints` are the spline's knots. `seed` decides. `progress` is called
+    with the motions that are done and their number; of a single one with rounds of the search. `changes` are fields of
+    `PlanOptions`.
 
     Reasons: SOLVED; INVALID, NaN in the start or the goal; LIMITS, COLLISION of the `start` or the `goal`, whichever is in
     `where`; OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED, no way found within the rounds and the timeout
@@ -136,7 +147,7 @@ def plan_motion(
     of arms of three joints at most, from a start that was not led out to goals that are configurations.
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Sources: Kuffner and LaValle, RRT-Connect, 2000;
-    Schwarzer et al. 2005; Pham and Pham 2018; Zhang, Kim, Manocha 2008.
+    Schwarzer et al. 2005; Pham and Pham 2018; Zhang, Kim, Manocha 2008; Berenson et al. 2009.
     """
     check_kind("plan_motion", "robot", robot, Robot)
     asked = ends("plan_motion", robot, start, goal, several_poses=True)
@@ -152,9 +163,20 @@ def plan_motion(
     options = PlanOptions.chosen(options, changes)
     if options.moving and options.escape:
         raise ValueError("plan_motion: a way out of a collision moves all joints; leave out escape or moving")
+    if options.keep:
+        _check_keep(options, asked)
     check_geometry(robot)
     found = _planned(robot, scene, asked, seed, options, progress)
     return found[0] if asked.single else found
+
+
+def _check_keep(options: PlanOptions, asked: Ends) -> None:
+    """Raises `ValueError` for what does not go together with two tips that hold one thing."""
+    given = {name for name in ("escape", "moving", "improve", "jerk") if getattr(options, name)}
+    if given:
+        raise ValueError(f"plan_motion: keep does not go together with {' and '.join(sorted(given))}; leave one of them out")
+    if asked.poses is not None:
+        raise ValueError("plan_motion: keep needs goals that are configurations (n,); find them by solve_ik of both tips")
 
 
 def _planned(
@@ -177,6 +199,8 @@ def _planned(
     starts, escapes = _begun(robot, space, places, asked.starts, among) if options.escape else (asked.starts, {})
     answers = _goals(robot, scene, space, starts, asked, seed, options, pace)
     goals, free, ended = admitted(robot, space, starts, answers, among)
+    if options.keep:
+        return _kept(robot, space, places, asked, goals, free, ended, seed, options, limits, progress, among)
     ways = _straight(space, starts, goals, free, pace, among)
     total = options.rounds if asked.single else len(starts)
     tell = progress or (lambda done, total: None)
@@ -201,6 +225,42 @@ def _planned(
     lengths = np.array([np.nan if way is None else space.length(np.diff(way, axis=0)).sum() for way in ways])
     told_of = ended.reason, tuple(ended.where), tuple(ways), trajectories, lengths, bounds, rounds, checked
     return PlanResult(*told_of, *reach, lines, ended.stuck, places, least)
+
+
+def _kept(
+    robot: Robot,
+    space: CollisionChecker,
+    places: tuple[Place, ...],
+    asked: Ends,
+    goals: np.ndarray,
+    free: np.ndarray,
+    ended: Ended,
+    seed: int,
+    options: PlanOptions,
+    limits: Limits,
+    progress: Callable[[int, int], Any] | None,
+    among: np.ndarray,
+) -> PlanResult:
+    """Plans each of the problems with two tips that keep their relative pose: splines in the place of rounded lines."""
+    starts, count = asked.starts, len(asked.starts)
+    sought = [each[some] for each, some in zip(goals, free, strict=True)]
+    told = lambda taken, done: progress(*((taken, options.rounds) if asked.single else (done, count))) if progress else None
+    search = seed, options.rounds, options.timeout, among, told
+    found = kept_ways(space, options.keep, options.keep_within, starts, sought, *search)
+    moved = [i for i, path in enumerate(found.paths) if path is not None]
+    paths = [padded(path, 2 ** int(np.ceil(np.log2(len(path.lengths))))) for path in found.paths if path is not None]
+    motions = dict(zip(moved, timed(robot, paths, limits, None, options.places), strict=True))
+    for i, gap in enumerate(found.gaps):
+        if gap is not None:
+            ended.reason[i], ended.stuck[i] = int(Reason.NOT_CONVERGED), gap
+    bounds, least, lengths = np.full((3, count), np.nan)
+    for i in moved:
+        away = sought[i] - starts[i]
+        bounds[i], least[i] = space.length(away).min(), limits.least(away).min()
+        lengths[i] = space.length(np.diff(found.ways[i], axis=0)).sum()
+    told_of = ended.reason, tuple(ended.where), tuple(found.ways), tuple(motions.get(i) for i in range(count)), lengths, bounds
+    reach = arrived(robot, found.ways, asked.goals, asked, options.postures)
+    return PlanResult(*told_of, found.rounds, found.rounds, *reach, np.zeros(count, int), ended.stuck, places, least)
 
 
 def _search(
