@@ -8,7 +8,7 @@ that a spline through them hardly leaves it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,7 @@ class Walks(NamedTuple):
     """Points (b, k, n) on the way from each start, itself the first; how many there are (b,), and whether it arrives (b,)."""
 
     points: np.ndarray
-    count: np.ndarray
+    made: np.ndarray
     arrives: np.ndarray
 
 
@@ -73,8 +73,8 @@ class Manifold:
         begin = np.repeat(start[None], len(goals), axis=0)
         direct = self.walks(begin, goals, self.strides(begin, goals), exact=True)
         if direct.arrives.any():
-            best = int(np.flatnonzero(direct.arrives)[np.argmin(direct.count[direct.arrives])])
-            return direct.points[best, : direct.count[best]], len(goals), np.stack([begin[best], goals[best]])
+            best = int(np.flatnonzero(direct.arrives)[np.argmin(direct.made[direct.arrives])])
+            return direct.points[best, : direct.made[best]], len(goals), np.stack([begin[best], goals[best]])
         draw, trees, taken, grown = np.random.default_rng(seed), (_Tree(start[None]), _Tree(goals)), len(goals), 0
         low, high = self.kept.lower, self.kept.upper
         while taken < rounds and not over():
@@ -86,7 +86,7 @@ class Manifold:
             target[some] = np.clip(nodes + scale * (target[some] - 0.5 * (low + high)), low, high)
             near = own.nearest(target, self.space)
             out = self.walks(own.nodes[near], target, STRIDES, exact=False)
-            ends = own.take(out, near)[out.count > 1]
+            ends = own.take(out, near)[out.made > 1]
             taken += SAMPLES
             if len(ends):
                 new = own.nodes[ends]
@@ -120,7 +120,7 @@ class Manifold:
             found = self.walks(begin, end, self.strides(begin, end), exact=True)
             saved = np.array(
                 [
-                    along[j] - along[i] - self._along(found.points[k, : found.count[k]])[-1] if found.arrives[k] else 0.0
+                    along[j] - along[i] - self._along(found.points[k, : found.made[k]])[-1] if found.arrives[k] else 0.0
                     for k, (i, j) in enumerate(pairs.tolist())
                 ]
             )
@@ -128,7 +128,7 @@ class Manifold:
             vain = vain + 1 if saved[best] <= 1e-3 * along[-1] else 0
             if saved[best] > 0.0:
                 i, j = pairs[best]
-                way = np.concatenate([way[:i], found.points[best, : found.count[best]], way[j + 1 :]])
+                way = np.concatenate([way[:i], found.points[best, : found.made[best]], way[j + 1 :]])
         return way
 
     def smooth(self, way: np.ndarray) -> np.ndarray:
@@ -166,7 +166,8 @@ class _Tree:
         self.room, self.count = np.zeros((ROOM, roots.shape[1])), 0
         self.parents: list[int] = []
         self.trails: list[np.ndarray] = []
-        self.known, self.index = 0, None
+        self.known = 0
+        self.index: Any = None
         for root in roots:
             self._add(-1, root[None])
 
@@ -199,10 +200,10 @@ class _Tree:
         return near
 
     def take(self, walks: Walks, begun: np.ndarray) -> np.ndarray:
-        """Takes walks that begin at such nodes (b,), a node each `APART` strides; returns the number of each one's last (b,)."""
+        """Takes walks that begin at such nodes (b,), a node each `APART` strides; returns the number of each last one (b,)."""
         last = begun.copy()
-        for i in np.flatnonzero(walks.count > 1).tolist():
-            new = walks.points[i, 1 : walks.count[i]]
+        for i in np.flatnonzero(walks.made > 1).tolist():
+            new = walks.points[i, 1 : walks.made[i]]
             for first in range(0, len(new), APART):
                 last[i] = self._add(int(last[i]), new[first : first + APART])
         return last

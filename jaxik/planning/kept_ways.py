@@ -65,8 +65,9 @@ def kept_ways(
             problem = _Problem(space, kept, start, each, int(among[i]))
         end = np.inf if seconds is None else time.monotonic() + seconds
         path, way, gap = (None, None, None) if problem is None else problem.solved(seed, rounds, end, found.rounds, i)
-        for rows, one in zip((found.paths, found.ways, found.gaps), (path, way, gap), strict=True):
-            rows.append(one)
+        found.paths.append(path)
+        found.ways.append(way)
+        found.gaps.append(gap)
         told(int(found.rounds[i]), i + 1)
     return found
 

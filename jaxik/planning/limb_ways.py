@@ -103,7 +103,7 @@ class Legs:
         self.of, self.order = (np.array([leg[k] for leg in legs], int) for k in range(2))
         ends, moved = (np.array([leg[k] for leg in legs]).reshape(-1, *np.shape(legs[0][k])) for k in (2, 3))
         low, high = search_range(space, ends[:, 0], self.turns[self.of])
-        self.kept = np.array([each.min() for each in kept_at(space, ends, among[self.of])])
+        self.kept = np.array([each.min() for each in kept_at(space, list(ends), among[self.of])])
         lower = np.where(moved, np.minimum(low, ends.min(axis=1)), ends[:, 0])
         upper = np.where(moved, np.maximum(high, ends.max(axis=1)), ends[:, 0])
         self.searches = Searches(space, ends[:, 0], list(ends[:, 1:]), lower, upper, seed, among[self.of])

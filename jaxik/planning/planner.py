@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 import time
 from collections.abc import Callable, Collection, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -15,8 +15,6 @@ from jaxik.checks.options import check_kind, check_seed
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
-from jaxik.kinematics.task import POSE, Task
-from jaxik.options import Options, choice, count, flag, instance, names, number, pair, per_joint
 from jaxik.planning.cells import JOINTS, separated
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.escape import escaped, led_out
@@ -27,6 +25,7 @@ from jaxik.planning.kept_ways import kept_ways
 from jaxik.planning.limits import AnyLimits, Limits, limit_of, motion_limits
 from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, reached, turned
 from jaxik.planning.path_parts import Part
+from jaxik.planning.plan_options import PlanOptions
 from jaxik.planning.plan_result import Place, PlanResult
 from jaxik.planning.sooner import sooner
 from jaxik.planning.standing import check_standing, moving_joints, standing_postures, stood, tip_that_moves
@@ -36,74 +35,6 @@ from jaxik.planning.ways import LOOKS, blended
 from jaxik.reasons import Reason
 
 EARLY = 30_000  # rounds after which it is asked of an arm of few joints whether there is a way, before they are sought anew
-
-
-class PlanOptions(Options, who="plan_motion"):
-    """The search and the timing of `plan_motion`."""
-
-    margin: float = number(default=0.0, unit="m", words="least clearance on the way")
-    velocity: Any = per_joint(
-        default=None, unit="rad/s, m/s", words="limits of velocity, one number or one a joint; None is the robot's"
-    )
-    acceleration: Any = per_joint(
-        default=None,
-        unit="rad/s2, m/s2",
-        words="limits of acceleration, one number or one a joint; None is four times the velocity a second",
-    )
-    jerk: Any = per_joint(
-        default=None, unit="rad/s3, m/s3", words="limits of jerk, one number or one a joint; None is no limit"
-    )
-    rounds: int = count(
-        default=100_000,
-        words="edges that the search tries at most; after 30, 60 and 80 % of them it looks closer, with finer samples",
-    )
-    timeout: float | None = number(
-        default=None,
-        least=0.0,
-        optional=True,
-        unit="s",
-        words="limit of time for the search of each problem, of many on average; with None `seed` alone decides",
-    )
-    task: Task = instance(default=POSE, kind=Task, words="what a pose as the goal binds")
-    postures: int = count(
-        default=8, words="different postures of a pose among which the search may choose, the soonest ones first"
-    )
-    improve: float | None = number(
-        default=None,
-        least=0.0,
-        optional=True,
-        unit="s",
-        words="time to look for a better way, for each problem, of many on average; the clock says how far it comes",
-    )
-    improves: str = choice(
-        default="length",
-        kinds=Literal["length", "time"],
-        words='what `improve` makes less: the "length" of the way, in weighted joints, or the "time" of the motion',
-    )
-    winding: float | None = number(
-        default=None,
-        above=0.0,
-        optional=True,
-        unit="rad",
-        words="how far joints without limits may be from zero on the way, for what hangs on them; None is as far as they like",
-    )
-    escape: bool = flag(default=False, words="whether a start in collision or outside its limits is first led out of that")
-    moving: Any = names(
-        default=(),
-        words="tips, groups or joints, by name, whose joints are the only ones that move; all others stand as in the start, "
-        "and a pose is that of the only tip that is named",
-    )
-    keep: Any = names(
-        default=(),
-        words="two tips or links, by name, that hold one thing: on the whole way the second stays where the first one sees it "
-        "at the start, proven between samples",
-    )
-    keep_within: Any = pair(
-        default=(1e-4, 1e-4), unit="m, rad", words="how far off the kept pose may be in its place, and in its turn"
-    )
-    places: int = count(
-        default=128, words="number of places at which the speed is chosen (`time_path`), twice as many within a jerk limit"
-    )
 
 
 def plan_motion(
@@ -254,10 +185,11 @@ def _kept(
         if gap is not None:
             ended.reason[i], ended.stuck[i] = int(Reason.NOT_CONVERGED), gap
     bounds, least, lengths = np.full((3, count), np.nan)
-    for i in moved:
-        away = sought[i] - starts[i]
-        bounds[i], least[i] = space.length(away).min(), limits.least(away).min()
-        lengths[i] = space.length(np.diff(found.ways[i], axis=0)).sum()
+    for i, way in enumerate(found.ways):
+        if way is not None:
+            away = sought[i] - starts[i]
+            bounds[i], least[i] = space.length(away).min(), limits.least(away).min()
+            lengths[i] = space.length(np.diff(way, axis=0)).sum()
     told_of = ended.reason, tuple(ended.where), tuple(found.ways), tuple(motions.get(i) for i in range(count)), lengths, bounds
     reach = arrived(robot, found.ways, asked.goals, asked, options.postures)
     return PlanResult(*told_of, found.rounds, found.rounds, *reach, np.zeros(count, int), ended.stuck, places, least)

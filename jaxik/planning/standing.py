@@ -77,7 +77,7 @@ def standing_postures(
     for number, values in enumerate(kinds):
         rows = np.flatnonzero(of.reshape(-1) == number)
         held = {name: float(x) for name, x, moved in zip(robot.joint_names, values, moves, strict=True) if not moved}
-        some = scene if scene is None or isinstance(scene, Scene) else [scene[i] for i in rows]
+        some = scene if scene is None or isinstance(scene, Scene) else [scene[i] for i in rows.tolist()]
         parts.append(postures_of_each(robot, some, starts[rows], poses[rows], *bound, held))
         places.append(rows)
     order = np.argsort(np.concatenate(places))
