@@ -21,11 +21,11 @@ def two_arms_markdown(result: dict[str, Any]) -> str:
         {name: f"{row[key]:.0f} ms" for name, row in (("alone", alone), ("tray", tray))} for key in ("p50_ms", "p95_ms")
     )
     told = [
-        f"Asked is every {_th(result['every'])} problem of MotionBenchMaker's. Of the {refused} whose goal is refused coal, too, finds "
+        f"Asked is every {_th(result['every'])} problem. Of the {refused} whose goal is refused coal, too, finds "
         f"{hit} in collision. With five seeds {seeds['solved']} of {seeds['asked']} are solved. A first call takes "
         f"{first['compiling']['first_s']:.1f} s, {first['kernels_on_disk']['first_s']:.1f} s with its kernels on disk.",
-        f"The left arm alone (`moving=`): {alone['solved']} of {alone['asked']} in {p50['alone']} (p50), {p95['alone']} (95 %); "
-        f"the right one stands to the last bit in {alone['stand']}.",
+        f"The left arm alone (`moving=`): {alone['solved']} of {alone['asked']} in {p50['alone']} (p50), "
+        f"{p95['alone']} (95 %); the right one stands to the last bit in {alone['stand']}.",
         f"A tray in both hands through a door (`keep=`): {tray['solved']} of {tray['asked']} in {p50['tray']} (p50), "
         f"{p95['tray']} (95 %). At {tray['moments']:,} moments of each the hands are at most {tray['off_mm']:.3f} mm and "
         f"{tray['off_mrad']:.3f} mrad off, of 0.1 and 0.1 that are proven; the clearance is {tray['clearance_mm']:.1f} mm at "
