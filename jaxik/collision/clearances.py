@@ -173,6 +173,17 @@ def _collides(robot: Robot, around: Grouped, q: Any, margin: Any) -> Any:
     return _too_near(robot, around, q, margin, lambda hit: hit)
 
 
+def lanes_that_collide(robot: Robot, around: Grouped, q: Any, margin: Any, each: Any) -> Any:
+    """Whether a team's lane has a configuration that `collides`, of `each` lane, or of the first that does and those before it:
+    the others then need not be known. Nothing is checked. Traced."""
+    me = lax.axis_index(TEAM)
+
+    def settled(hit: Any) -> Any:
+        return jnp.where(each, hit, me >= lax.pmin(jnp.where(hit, me, TEAM_SIZE), TEAM))
+
+    return _too_near(robot, around, q, jnp.asarray(margin, q.dtype), settled)
+
+
 def first_to_collide(robot: Robot, around: Grouped, q: Any, margin: Any, every: Any) -> Any:
     """The number of a team's first lane whose configuration `collides`, or how many lanes there are. With `every` any one that
     does will do. Lanes behind the first need not be known. Nothing is checked. Traced.

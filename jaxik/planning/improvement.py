@@ -111,7 +111,7 @@ class Improvement:
         lower, upper = (np.array(x) for x in zip(*boxes, strict=True))
         searches = Searches(self.space, ends[:, 0], list(ends[:, 1:]), lower, upper, int(seed), self.among)
         rows = np.arange(len(self.ways))
-        searches.grow(rows, np.full(len(rows), ROUNDS), LOOKS[0][0], self.cushion)
+        searches.grow(rows, ROUNDS, np.full(len(rows), ROUNDS), LOOKS[0], self.cushion)
         rows = rows[searches.found.joined]
         found: list[np.ndarray | None] = [None] * len(self.ways)
         if len(rows):

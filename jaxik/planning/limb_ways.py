@@ -18,12 +18,11 @@ import numpy as np
 from jaxik.kinematics.joint_turns import whole_turns
 from jaxik.kinematics.tree import BASE_ROW, Tree
 from jaxik.planning.collision_checker import CollisionChecker
-from jaxik.planning.tree_search import Searches
+from jaxik.planning.tree_search import Look, Searches
 from jaxik.planning.ways import (
     LOOKS,
     Clock,
     Found,
-    Look,
     kept_at,
     kept_of,
     proven_ways,

@@ -25,7 +25,7 @@ class PlanOptions(Options, who="plan_motion"):
     )
     rounds: int = count(
         default=100_000,
-        words="edges that the search tries at most; after 30, 60 and 80 % of them it looks closer, with finer samples",
+        words="rounds of the search at most, sixteen samples each; after 30, 60 and 80 % of them it looks closer",
     )
     timeout: float | None = number(
         default=None,

@@ -142,9 +142,9 @@ class PlanResult(Result):
 
     def _came(self) -> str:
         """How far a search came that found no way."""
-        edges = f"{self.rounds:,} edge{'s' * bool(self.rounds != 1)}"
+        rounds = f"{self.rounds:,} round{'s' * bool(self.rounds != 1)}"
         between = f", and there {self.offenders[0]}" if self.offenders else ""
-        return f"after {edges} its trees were {self.gap:.3g} m apart{between}"
+        return f"after {rounds} its trees were {self.gap:.3g} m apart{between}"
 
 
 def _beyond(place: Place, q: np.ndarray) -> tuple[Limit, ...]:

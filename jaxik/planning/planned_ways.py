@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, Self
 
 import jax
@@ -10,11 +10,10 @@ import numpy as np
 
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
-from jaxik.planning.limits import Limits
 from jaxik.planning.planner import PlanOptions, plan_motion
-from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory, along_pieces, padded
 
+Along = Callable[[JointPath], Trajectory]  # the fastest motions along a stack of paths
 PARTS = 8  # of a piece, at whose ends the speed along it is chosen
 DENSE = 4  # samples of a span
 
@@ -36,14 +35,14 @@ class Ways(NamedTuple):
         ends: np.ndarray,
         seed: int,
         how: PlanOptions,
-    ) -> Self:
-        """Plans motions for problems `rows` (s,) from starts to ends (s, n); those that have none are left out. Each of a
-        list of scenes is that of one of them."""
+    ) -> tuple[Self, np.ndarray]:
+        """Plans motions for problems `rows` (s,) from starts to ends (s, n); those that have none are left out, and the reasons
+        (s,) of all. Each of a list of scenes is that of one of them."""
         if not len(rows):
-            return cls(rows, [], [])
+            return cls(rows, [], []), rows
         found = plan_motion(robot, starts, ends, scene=scene, seed=seed, options=how)
         pairs = [(w, t) for w, t in zip(found.waypoints, found.trajectory, strict=True) if w is not None]
-        return cls(rows[found.success], [w for w, _ in pairs], [t for _, t in pairs])
+        return cls(rows[found.success], [w for w, _ in pairs], [t for _, t in pairs]), np.asarray(found.reason)
 
     @property
     def duration(self) -> np.ndarray:
@@ -57,6 +56,16 @@ class Ways(NamedTuple):
     def within(self, pieces: int) -> Ways:
         """The ways of no more than so many pieces."""
         return self.of(np.array([np.count_nonzero(each.path.lengths) for each in self.trajectories], int) <= pieces)
+
+    def retimed(self, along: Along, pieces: int) -> Ways:
+        """The ways in the least time `along` them, each in so many pieces; without those on which the drives cannot hold the
+        arm."""
+        if not len(self.rows):
+            return self
+        paths = [_split(each.path, pieces) for each in self.trajectories]
+        timed = along(jax.tree_util.tree_map(lambda *x: np.stack(x), *paths))
+        each = [jax.tree_util.tree_map(lambda x, i=i: x[i], timed) for i in range(len(paths))]
+        return Ways(self.rows, self.waypoints, each).of(np.isfinite(timed.duration))
 
     def first(self, most: int) -> Ways:
         """The soonest ways of each problem, at most so many, in their order."""
@@ -88,15 +97,12 @@ class Ways(NamedTuple):
         return samples
 
 
-def soonest(ways: Ways, chosen: Trajectory, limits: Limits, robot: Robot) -> tuple[Trajectory, np.ndarray]:
-    """The least time within the limits along the paths of motions (b,), or the planner's motion where that is sooner or there
-    is no other one; and which are the planner's (b,). Each is as it would be alone."""
-    pieces = np.shape(chosen.path.lengths)[1]
-    along = lambda path: time_path(path, **limits._asdict(), places=PARTS * pieces, robot=robot)
+def soonest(ways: Ways, chosen: Trajectory, along: Along) -> tuple[Trajectory, np.ndarray]:
+    """The least time `along` the paths of motions (b,), or the planner's motion where that is sooner or there is no other one;
+    and which are the planner's (b,). Each is as it would be alone."""
     found, taken = along(chosen.path), np.zeros(len(chosen.path.lengths), bool)
     found.time[np.isnan(found.duration)] = np.nan
-    for row, each in zip(*ways.first(1)[::2], strict=True):
-        planned = along(_split(each.path, pieces))
+    for row, planned in zip(*ways.first(1)[::2], strict=True):
         if not planned.duration >= found.duration[row]:
             taken[row] = True
             for old, new in zip(*map(jax.tree_util.tree_leaves, (found, planned)), strict=True):

@@ -34,7 +34,7 @@ from jaxik.planning.trajectory import JointPath, Trajectory, padded
 from jaxik.planning.ways import LOOKS, blended
 from jaxik.reasons import Reason
 
-EARLY = 30_000  # rounds after which it is asked of an arm of few joints whether there is a way, before they are sought anew
+EARLY = 15_000  # rounds after which it is asked of an arm of few joints whether there is a way, before they are sought anew
 
 
 def plan_motion(

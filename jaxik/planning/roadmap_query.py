@@ -39,7 +39,7 @@ class QueryOptions(Options, who="Roadmap"):
         default=None, unit="rad/s3, m/s3", words="limits of jerk, one number or one a joint; None is no limit"
     )
     near: int = count(default=8, words="nearest nodes that a posture is joined to; where it is to none, eight times as many")
-    rounds: int = count(default=0, least=0, words="edges that a search tries where the roadmap knows no way; 0: none")
+    rounds: int = count(default=0, least=0, words="rounds of a search where the roadmap knows no way; 0: none")
     task: Task = instance(default=POSE, kind=Task, words="what a pose as the goal binds")
     postures: int = count(default=8, words="different postures of a pose among which to choose, the soonest ones")
     places: int = count(default=128, words="number of places at which the speed is chosen (`time_path`)")

@@ -30,7 +30,6 @@ from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
 from jaxik.optimise import splines
-from jaxik.planning.limits import Limits
 from jaxik.planning.motion_ends import ends, turned
 from jaxik.planning.plan_result import HELP
 from jaxik.planning.planned_ways import soonest
@@ -99,8 +98,8 @@ def optimise_trajectory(
     Reasons: SOLVED, proven free between samples too, unless obstacles only cost, or are not looked at; INVALID, NaN; LIMITS, of
     the start or the goal, where their joints' range or a `torque` that does not hold the arm there is meant, or of velocities,
     accelerations, torque and power in the time given; COLLISION, likewise, or where obstacles only cost, of the best motion;
-    OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED. A robot without collision geometry is taken with
-    `collision=False`.
+    OUT_OF_REACH and others of `solve_ik` for a pose; NO_WAY, as `plan_motion` proves it; NOT_CONVERGED. A robot without
+    collision geometry is taken with `collision=False`.
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Sources: Schuetz 2017, ch. 6; Zucker et al. 2013.
     """
@@ -178,14 +177,13 @@ def _packed(search: Search, kept: list[Solved]) -> TrajectoryResult:
         pressure[rows] = found.pressure
     duration = search.judge.shortest(points, spans) if free else np.full(count, search.terms.duration)
     weak = np.isnan(duration) & ~np.isnan(cost)  # the drives cannot hold the arm on the way
-    reason[weak], points[weak] = int(Reason.LIMITS), np.nan
+    points[weak] = np.nan
     trajectory = _timed(points, degree, duration, search.robot.joint_names)
     if search.retimed and count:
-        trajectory, planned = soonest(
-            search.ways, trajectory, Limits(search.fast.velocity, search.fast.acceleration), search.robot
-        )
+        trajectory, planned = soonest(search.ways, trajectory, search.along)
         cost[planned], parts[planned], converged[planned] = trajectory.duration[planned], 0.0, False
-        multipliers[planned], pressure[planned] = 0.0, 0.0
+        multipliers[planned], pressure[planned], weak = 0.0, 0.0, weak & ~planned
+    reason[weak] = int(Reason.LIMITS)
     return TrajectoryResult(reason, tuple(search.where), trajectory, cost, parts, iterations, converged, multipliers, pressure)
 
 

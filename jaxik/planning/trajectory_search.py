@@ -16,7 +16,9 @@ from jaxik.optimise import collocation, splines
 from jaxik.optimise.programme import Problem
 from jaxik.planning.hastening import hastened
 from jaxik.planning.motion_ends import Ends
-from jaxik.planning.planned_ways import Ways
+from jaxik.planning.planned_ways import PARTS, Ways
+from jaxik.planning.timing import time_path
+from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.planning.trajectory_judge import BROKEN, CUSHION, Judge, at_knots, finer, put
 from jaxik.planning.trajectory_terms import Target, TrajectoryOptions, told_apart
 from jaxik.reasons import Reason
@@ -86,7 +88,8 @@ class Search:
         kept: list[Solved] = []
         begins = self.plans and self.options.hastens and guess is None and not self.via
         if begins:
-            self.ways = self._planned(rows, ends).within(self.pieces)
+            ways = self._planned(rows, ends).within(self.pieces)
+            self.ways = ways.retimed(self.along, self.pieces) if self.retimed else ways
             kept += self._ahead()
         each = each[self._open(rows[each])]
         slow = self._tried(rows[each], samples[each])
@@ -105,6 +108,13 @@ class Search:
         while pieces < MOST:
             pieces *= 2
         return pieces
+
+    def along(self, paths: JointPath) -> Trajectory:
+        """The fastest motions along a stack of paths within the limits; NaN where the drives cannot hold the arm."""
+        fast, drives = self.fast, self.fast.drives
+        driven = {"torque": drives.torque, "power": drives.power, "gravity": drives.gravity} if drives.limited else {}
+        limits: dict[str, Any] = {"velocity": fast.velocity, "acceleration": fast.acceleration} | driven
+        return time_path(paths, places=PARTS * np.shape(paths.lengths)[1], robot=self.robot, **limits)
 
     def tell(self) -> None:
         """Calls `progress` with the problems that are solved or refused."""
@@ -176,17 +186,20 @@ class Search:
         return rows[held], ends[held]
 
     def _planned(self, rows: np.ndarray, ends: np.ndarray) -> Ways:
-        """Plans motions for problems, each as often as it has postures to end in."""
+        """Plans motions for problems, each as often as it has postures to end in, and notes of which none is possible."""
         how = self.options.planning(self.robot)
-        return Ways.planned(self.robot, self._scenes(rows), rows, self.starts[rows], ends, self.seed, how)
+        ways, reason = Ways.planned(self.robot, self._scenes(rows), rows, self.starts[rows], ends, self.seed, how)
+        if self.poses is None:  # a pose may have other postures
+            self.reason[np.setdiff1d(rows, rows[reason != Reason.NO_WAY])] = int(Reason.NO_WAY)
+        return ways
 
     def _scenes(self, rows: np.ndarray) -> Any:
         """The scene, or those of some problems."""
         return [self.scene[i] for i in rows.tolist()] if self.several else self.scene  # type: ignore[index]
 
     def _open(self, rows: np.ndarray) -> np.ndarray:
-        """Whether each of the problems has no motion yet."""
-        return self.reason[rows] != Reason.SOLVED
+        """Whether each of the problems has no motion yet, and may have one."""
+        return ~np.isin(self.reason[rows], (Reason.SOLVED, Reason.NO_WAY))
 
     # ----------------------------------------------------------------------------------------------------------------
     # The best of them

@@ -206,7 +206,7 @@ class Terms:
     @property
     def retimed(self) -> bool:
         """Whether the time is the least along the way that is found; else it is the spline's, within whose jerk is bounded."""
-        return not self.drives.limited and bool(np.isinf(self.jerk).all() and np.isfinite(self.acceleration).all())
+        return bool(np.isinf(self.jerk).all() and (self.drives.limited or np.isfinite(self.acceleration).all()))
 
     @property
     def acceleration_cost(self) -> float:

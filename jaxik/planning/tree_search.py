@@ -1,8 +1,9 @@
-"""RRT-Connect in one kernel: two trees, an edge a turn, its sixteen samples in the lanes of a team.
+"""RRT-Connect in one kernel: two trees, eight edges a turn, the samples of an edge in the lanes of a team.
 
-From its node nearest to a sample of the space one tree grows towards it, as far as the way is free; then the other grows,
-edge after edge, towards what is new, until it arrives there or hits [Kuffner and LaValle 2000]. A turn is one edge, and a call
-so many turns, after which the search goes on where it was: what it finds does not depend on how many a call takes.
+One tree grows towards eight samples of the space, from its nodes nearest to them, as far as the way is free; then the other
+grows towards all that is new, edge after edge, until it arrives at one of them or hits [Kuffner and LaValle 2000]. Most edges
+hit within a few samples: so two of each of the eight are looked at first, at once, and then the whole of those that pass. A
+call takes some turns, after which the search goes on where it was: what it finds does not depend on how many a call takes.
 
 Samples are those of a Kronecker sequence in integers, so that they are the same on every machine; its generalised golden ratio
 spreads them over any number of joints [Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"].
@@ -14,12 +15,13 @@ import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
 from jaxik.collision.bvh import Grouped
-from jaxik.collision.clearances import first_to_collide
+from jaxik.collision.clearances import lanes_that_collide
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.world import in_world
@@ -27,39 +29,56 @@ from jaxik.spmd import TEAM
 from jaxik.spmd.trace import TEAM_SIZE
 
 BLOCKS, MOST = 64, 512  # of nodes that a tree has room for at first and at most, as many a block as a team has lanes
-SPARSE = 0.9  # of a step, from which on a node is not as good as another
+EDGES, FIRSTS = 8, 0x5555  # that are tried at once, by two samples each; the bits of the first of these
 UNLIKE = 3  # times as many nodes as the other tree has, at which the smaller one, in the narrower place, grows alone; sooner
 # by as many times as there are scales
 SMALLER = 4.0  # times, each scale of the samples about a node than the one before
-SAMPLING, JOINING, ON = 0, 1, 2  # what the next turn does: a tree grows to a sample, the other to what is new, and on to it
+
+
+class Look(NamedTuple):
+    """How closely a search looks: samples every `step` [m] that keep a `cushion` [m], until so large a `share` of all rounds,
+    and targets about nodes on so many `scales`. Of an edge that hits, the part before becomes a node if a `few` of its samples
+    are free: in a wide place shorter ones spread no tree, and make the way long. A tree that does not become more than `growth`
+    times as large in `patience` rounds counts as walled in: a large one grows slowly, which is a reason to look closer, hardly
+    one to give up."""
+
+    step: float
+    cushion: float
+    share: float
+    scales: int
+    few: int
+    growth: float
+    patience: int
 
 
 class Search(NamedTuple):
     """Two trees, the first from the start, the second from the goals, and what the next turn is about.
 
     nodes (2, n, blocks, 16): their joints; parent (2, blocks * 16): the number of each one's parent, -1 of a root; count (2,):
-    how many there are. tree: which one grows to samples now; target (n,): what the other one grows to, the node `newest` of the
-    first; base: the node from which it grows on. turn, drawn: the edges and samples so far. joined: whether the trees have met,
-    `newest` of the one and `base` of the other being the same place.
+    how many there are. tree: which one grows to samples now; joining: whether it did so in the last turn, and the other one
+    grows to what is new, the nodes from `since` on. newest, base: where the trees have met, the same place as a node of the one
+    that grew to samples, and of the other. looks, drawn: how often the sixteen lanes have looked, and samples so far. cramped:
+    whether there was no room for the last turn, which is to be taken again. joined: whether the trees have met.
     """
 
     nodes: Any
     parent: Any
     count: Any
     tree: Any
-    phase: Any
-    target: Any
+    joining: Any
+    since: Any
     newest: Any
     base: Any
-    turn: Any
+    looks: Any
     drawn: Any
+    cramped: Any
     joined: Any
 
 
 class Searches:
     """Searches for problems that are many or one: from the start (n,) of each to one of its goals (g, n), with samples between
     `lower` and `upper` (b, n), each `among` what is in the scene of such a number (b,); which samples is drawn from the same
-    `seed` for each. `taken` (b,) are the turns of each."""
+    `seed` for each. `taken` (b,) are the looks of each."""
 
     def __init__(
         self,
@@ -79,7 +98,7 @@ class Searches:
         none = np.zeros(count, np.int32)
         blocks = max(BLOCKS, -(-2 * max(map(len, goals), default=0) // TEAM_SIZE))  # roots fill at most half of a tree
         nodes = np.empty((count, 2, n, blocks, TEAM_SIZE), np.float32), np.empty((count, 2, blocks * TEAM_SIZE), np.int32)
-        first = none, none.copy(), np.zeros((count, n), np.float32), *(none.copy() for _ in range(4)), none > 0
+        first = none, none > 0, *(none.copy() for _ in range(5)), none > 0, none > 0
         self.found = Search(*nodes, np.zeros((count, 2), np.int32), *first)
         for row in range(count):
             self.begin(row)
@@ -99,32 +118,34 @@ class Searches:
     @property
     def full(self) -> np.ndarray:
         """Whether a tree has no room left (b,), and gets none."""
-        blocks = self.found.nodes.shape[3]
-        return self.found.count.max(axis=1) >= max(MOST, blocks) * TEAM_SIZE
+        return self.found.cramped & (self.found.nodes.shape[3] >= MOST)
 
     def _more_room(self) -> None:
         """Gives all trees eight times the room where one has none left."""
         nodes, parent = self.found.nodes, self.found.parent
         blocks = nodes.shape[3]
-        if blocks < MOST and self.found.count.max() >= blocks * TEAM_SIZE:
+        if blocks < MOST and self.found.cramped.any():
             more = min(8 * blocks, MOST) - blocks
             nodes = np.pad(nodes, ((0, 0), (0, 0), (0, 0), (0, more), (0, 0)))
             parent = np.pad(parent, ((0, 0), (0, 0), (0, more * TEAM_SIZE)))
-            self.found = self.found._replace(nodes=nodes, parent=parent)
+            self.found = self.found._replace(nodes=nodes, parent=parent, cramped=np.zeros_like(self.found.cramped))
 
-    def grow(self, rows: np.ndarray, turns: np.ndarray, step: float, cushion: np.ndarray, scales: int = 1) -> None:
-        """Searches on in some rows for so many turns (b,), or fewer if the trees meet or have no room left, with a sample every
-        `step` [m] that keeps a `cushion` (b,) [m] beyond the margin, and targets about nodes on so many `scales`."""
+    def grow(self, rows: np.ndarray, looks: int, limit: np.ndarray, look: Look, cushion: np.ndarray) -> None:
+        """Searches on in some rows for so many looks, and to the end of a turn; for fewer where the `limit` (b,) of all is
+        reached, the trees meet, or have no room left. The samples of a `look` keep a `cushion` (b,) [m] beyond the margin."""
         self._more_room()
         space, whole = self.space, len(rows) == len(self.starts)
         of = (lambda x: x) if whole else (lambda x: x[rows])
-        before = of(self.found.turn)
-        margin = (space.margin + cushion).astype(np.float32)
-        reach = *map(of, self.range), np.full(len(rows), step, np.float32), margin, np.full(len(rows), scales, np.uint32)
-        given = *map(of, self.found), of(self.offset), *reach, (before + turns).astype(np.int32)
+        before = of(self.found.looks)
+        limit = (before + limit - self.taken[rows]).astype(np.int32)
+        step, margin = np.full(len(rows), look.step, np.float32), (space.margin + cushion).astype(np.float32)
+        scales, few = (np.full(len(rows), count, np.int32) for count in (look.scales, look.few))
+        lower, upper = map(of, self.range)
+        reach = Reach(lower, upper, step, margin, scales, few, np.minimum(before + np.int32(looks), limit), limit)
+        given = *map(of, self.found), of(self.offset), *reach
         shared = (np.asarray(space.weights, np.float32),)
         found = Search(*space.world.run(searched, *given, among=of(self.among), shared=shared))
-        self.taken[rows] += found.turn - before
+        self.taken[rows] += found.looks - before
         if whole:
             self.found = Search(*(x if x.flags.writeable else x.copy() for x in found))
             return
@@ -154,13 +175,16 @@ class Searches:
 
 class Reach(NamedTuple):
     """Where samples are drawn, least and greatest (n,), how far apart those of an edge are [m], by how much they keep away from
-    what is around [m], and how many `scales` there are of those that are drawn about a node."""
+    what is around [m], the `scales` and the `few` of a `Look`, and after how many looks the call and the search are to end."""
 
     lower: Any
     upper: Any
     step: Any
     margin: Any
     scales: Any
+    few: Any
+    end: Any
+    limit: Any
 
 
 @functools.lru_cache(maxsize=64)
@@ -169,68 +193,95 @@ def _offset(seed: int | tuple[int, int], draw: int, n: int) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 2**32, (draw, n), dtype=np.uint32)[-1]
 
 
-@in_world(len(Search._fields) + 2 + len(Reach._fields))
+@in_world(len(Search._fields) + 1 + len(Reach._fields))
 def searched(robot: Robot, obstacles: Grouped, *args: Any) -> Search:
-    """The search after so many turns in all, or fewer where the trees meet or one has no room left.
+    """The search after so many looks in all, or fewer where the trees meet or one has no room left.
 
-    Takes the fields of a `Search`, the `offset` (n,) at which its samples begin, as whole numbers of 32 bits, its `Reach`, and
-    the turn at which it is to end; then, what all searches share, the joints' weights (n,) by which lengths are measured."""
+    Takes the fields of a `Search`, the `offset` (n,) at which its samples begin, as whole numbers of 32 bits, and its `Reach`;
+    then, what all searches share, the joints' weights (n,) by which lengths are measured."""
     count = len(Search._fields)
-    search, offset, (*reach, end, weights) = Search(*args[:count]), args[count], args[count + 1 :]
-    return _searched(robot, search, offset, Reach(*reach), end, weights, obstacles)
+    search, offset, (*reach, weights) = Search(*args[:count]), args[count], args[count + 1 :]
+    return _searched(robot, search, offset, Reach(*reach), weights, obstacles)
 
 
-def _searched(robot: Robot, search: Search, offset: Any, reach: Any, end: Any, weights: Any, obstacles: Any) -> Search:
+def _searched(robot: Robot, search: Search, offset: Any, reach: Reach, weights: Any, obstacles: Any) -> Search:
     me = lax.axis_index(TEAM)
+    mine = me // 2  # the edge that a lane looks at
+    of = lambda lane, x: lax.psum(jnp.where(me == lane, x, jnp.zeros_like(x)), TEAM)
 
     def goes_on(s: Search) -> Any:
-        return (s.turn < end) & ~s.joined & (jnp.max(s.count) < s.parent.shape[1])
+        return ~s.joined & (jnp.max(s.count) < s.parent.shape[1]) & (s.looks < reach.limit)
 
-    def turn(s: Search) -> Search:
-        sampling = s.phase == SAMPLING
-        own = jnp.where(sampling, s.tree, 1 - s.tree)
-        target = jnp.where(sampling, _sample(s, own, offset, reach), s.target)
-        base = lax.cond(s.phase == ON, lambda: s.base, lambda: _nearest(s.nodes, own, s.count[own], target, weights))
-        first = _node(s.nodes, own, base)
+    def with_room(begun: Search, s: Search) -> Search:
+        """The end of a turn, or, where no room was left, all but the trees' new nodes as it `begun`."""
+        cramped = ~s.joined & (jnp.max(s.count) >= s.parent.shape[1])
+        kept = jax.tree_util.tree_map(lambda x, y: jnp.where(cramped, x, y), begun[2:], s[2:])
+        return Search(*s[:2], *kept)._replace(cramped=cramped)
+
+    def edge(first: Any, target: Any) -> tuple[Any, Any, Any]:
+        """Whether an edge arrives at its target, where it ends, and how many samples it has."""
         far, most = _length(target - first, weights), TEAM_SIZE * reach.step
         arrives = far <= most
         last = jnp.where(arrives, target, first + most / far * (target - first))
-        samples = jnp.maximum(jnp.ceil(jnp.minimum(far, most) / reach.step), 1.0)
-        q = first + jnp.minimum((me + 1) / samples, 1.0) * (last - first)
-        hit = first_to_collide(robot, obstacles, q, reach.margin, False)
-        free = hit >= samples
-        new = jnp.where(free, last, first + hit / samples * (last - first))
-        beside = lambda: _length(_node(s.nodes, own, _nearest(s.nodes, own, s.count[own], new, weights)) - new, weights)
-        grows, number = (hit > 0) & (~sampling | (beside() > SPARSE * reach.step)), s.count[own]
-        s = lax.cond(grows, lambda s: _grown(s, own, new, base), lambda s: s, s)
-        joined = ~sampling & free & arrives
-        phase = jnp.where(sampling & grows, JOINING, jnp.where(~sampling & free & ~arrives, ON, SAMPLING)).astype(jnp.int32)
-        alone = (s.drawn % 4 != 0) & (jnp.min(s.count) * UNLIKE < jnp.max(s.count) * reach.scales.astype(jnp.int32))
+        return arrives, last, jnp.maximum(jnp.ceil(jnp.minimum(far, most) / reach.step), 1.0)
+
+    def turn(begun: Search) -> Search:
+        s = begun
+        own = jnp.where(s.joining, 1 - s.tree, s.tree)
+        before, fresh = s.count[own], jnp.minimum(s.since + mine, s.count[s.tree] - 1)
+        targets = jnp.where(s.joining, _node(s.nodes, s.tree, fresh), _sample(s, mine, offset, reach))
+        wanted = ~s.joining | (fresh == s.since + mine)
+        bases = _nearest(s.nodes, own, before, targets, weights)
+        first = _node(s.nodes, own, bases)
+        _, last, samples = edge(first, targets)
+        two = first + jnp.minimum(jnp.where(me % 2, reach.few, 1) / samples, 1.0) * (last - first)
+
+        def look(state: tuple[Search, Any, Any]) -> tuple[Search, Any, Any]:
+            """Looks at two samples of all edges, or then at all of the next one of those that are `left`, by the bits of their
+            lanes; `on` from a node instead of its own."""
+            s, left, on = state
+            all_edges, lane = left < 0, lax.pmin(jnp.where((left >> me) & 1 == 1, me, TEAM_SIZE), TEAM)
+            base = jnp.where(on < 0, of(lane, bases), on)
+            first = _node(s.nodes, own, base)
+            arrives, last, samples = edge(first, of(lane, targets))
+            whole = first + jnp.minimum((me + 1) / samples, 1.0) * (last - first)
+            hit = lanes_that_collide(robot, obstacles, jnp.where(all_edges, two, whole), reach.margin, all_edges)
+            passed = lax.psum(jnp.where(hit | ~wanted, 0, jnp.int32(1) << me), TEAM)
+            clear, new = lax.pmin(jnp.where(hit, me, TEAM_SIZE), TEAM), s.count[own]
+            free = ~all_edges & (clear >= samples)
+            place = jnp.where(free, last, first + clear / samples * (last - first))
+            grows = free | (~all_edges & (clear >= reach.few))
+            s = lax.cond(grows, lambda s: _grown(s, own, place, base), lambda s: s, s)
+            joined, goes = s.joining & free & arrives, s.joining & free & ~arrives
+            newest, base = jnp.where(joined, s.since + lane // 2, s.newest), jnp.where(joined, new, s.base)
+            s = s._replace(looks=s.looks + 1, joined=joined, newest=newest, base=base)
+            rest = jnp.where(goes, left, left & ~(jnp.int32(1) << lane))
+            return s, jnp.where(all_edges, passed & (passed >> 1) & FIRSTS, rest), jnp.where(goes, new, -1)
+
+        start = s, jnp.int32(-1), jnp.int32(-1)
+        s = lax.while_loop(lambda state: (state[1] != 0) & goes_on(state[0]), look, start)[0]
+        joining = ~s.joining & (s.count[own] > before)
+        drawn = s.drawn + jnp.where(s.joining, 0, EDGES)
+        alone = (drawn // EDGES % 4 != 0) & (jnp.min(s.count) * UNLIKE < jnp.max(s.count) * reach.scales)
         turns_to = jnp.where(alone, (s.count[1] < s.count[0]).astype(jnp.int32), 1 - s.tree)
-        return s._replace(
-            tree=jnp.where(joined | (phase != SAMPLING), s.tree, turns_to),
-            phase=phase,
-            target=jnp.where(sampling, new, s.target),
-            newest=jnp.where(sampling, number, s.newest),
-            base=number,
-            turn=s.turn + 1,
-            drawn=s.drawn + sampling,
-            joined=joined,
-        )
+        tree = jnp.where(joining | s.joined, s.tree, turns_to)
+        since = jnp.where(joining, before, s.since)
+        return with_room(begun, s._replace(tree=tree, joining=joining, since=since, drawn=drawn))
 
-    return lax.while_loop(goes_on, turn, search)
+    return lax.while_loop(lambda s: ~s.joined & ~s.cramped & (s.looks < reach.end), turn, search)
 
 
-def _sample(s: Search, tree: Any, offset: Any, reach: Reach) -> Any:
-    """The next sample (n,) for a tree: by turns a point of the space, and one that lies about a node, drawn too, as the former
-    lie about the middle, or so much closer. The first spread a tree; the second let it out of a narrow place, where all that is
-    far away has the same few nodes nearest to it, and these are walled in; in a slit every long edge ends at once."""
-    number = s.drawn.astype(jnp.uint32)
+def _sample(s: Search, further: Any, offset: Any, reach: Reach) -> Any:
+    """One of the next samples (n,) for the tree that grows: by turns a point of the space, and one about a node, drawn too, as
+    the former lie about the middle, or so much closer. The first spread a tree; the second let it out of a narrow place, where
+    all that is far away has the same few nodes nearest to it, and these are walled in; in a slit every long edge ends at once.
+    """
+    number = (s.drawn + further).astype(jnp.uint32)
     share = (offset + number * _golden(len(offset)) >> 8).astype(reach.lower.dtype) * 2.0**-24
-    node = (_mixed(number + offset[0]) % s.count[tree].astype(jnp.uint32)).astype(jnp.int32)
+    node = (_mixed(number + offset[0]) % s.count[s.tree].astype(jnp.uint32)).astype(jnp.int32)
     point = reach.lower + share * (reach.upper - reach.lower)
-    scale = SMALLER ** -((number // 2) % reach.scales).astype(share.dtype)
-    moved = _node(s.nodes, tree, node) + scale * (point - 0.5 * (reach.lower + reach.upper))
+    scale = SMALLER ** -((number // 2) % reach.scales.astype(jnp.uint32)).astype(share.dtype)
+    moved = _node(s.nodes, s.tree, node) + scale * (point - 0.5 * (reach.lower + reach.upper))
     return jnp.where(number % 2 == 0, point, jnp.clip(moved, reach.lower, reach.upper))
 
 
@@ -250,19 +301,17 @@ def _golden(n: int) -> np.ndarray:
 
 
 def _nearest(nodes: Any, tree: Any, count: Any, x: Any, weights: Any) -> Any:
-    """The number of the node of a tree that is nearest to x (n,); the first of those that are as near."""
-    me = lax.axis_index(TEAM)
+    """The number of the node of a tree that is nearest to each lane's x (n,); the first of those that are as near."""
 
     def look(state: Any) -> Any:
-        block, least, at = state
-        apart, number = (nodes[tree, :, block, me] - x) * weights, block * TEAM_SIZE + me
-        square = jnp.where(number < count, jnp.sum(apart * apart), jnp.inf)
+        number, least, at = state
+        apart = (_node(nodes, tree, number) - x) * weights
+        square = jnp.sum(apart * apart)
         nearer = square < least
-        return block + 1, jnp.where(nearer, square, least), jnp.where(nearer, number, at)
+        return number + 1, jnp.where(nearer, square, least), jnp.where(nearer, number, at)
 
-    begin = jnp.int32(0), jnp.asarray(jnp.inf, x.dtype), jnp.int32(0)
-    _, least, at = lax.while_loop(lambda state: state[0] * TEAM_SIZE < count, look, begin)
-    return lax.pmin(jnp.where(least == lax.pmin(least, TEAM), at, nodes.shape[2] * TEAM_SIZE), TEAM)
+    begin = jnp.int32(0), jnp.full_like(x[0], jnp.inf), jnp.zeros_like(x[0], jnp.int32)
+    return lax.while_loop(lambda state: state[0] < count, look, begin)[2]
 
 
 def _node(nodes: Any, tree: Any, number: Any) -> Any:

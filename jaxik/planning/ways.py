@@ -17,28 +17,14 @@ from jaxik.kinematics.joint_turns import whole_turns
 from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker
 from jaxik.planning.shortcuts import Places, chains, prepare, tightened
 from jaxik.planning.trajectory import JointPath
-from jaxik.planning.tree_search import Searches
+from jaxik.planning.tree_search import Look, Searches
 from jaxik.spmd.trace import TEAM_SIZE
 
-
-class Look(NamedTuple):
-    """How closely a search looks: samples every `step` [m] that keep a `cushion` [m], until so large a `share` of all rounds,
-    and targets about nodes on so many `scales`. A tree that does not become more than `growth` times as large in `patience`
-    rounds counts as walled in: a large one grows slowly, which is a reason to look closer, hardly one to give up."""
-
-    step: float
-    cushion: float
-    share: float
-    scales: int
-    growth: float
-    patience: int
-
-
 LOOKS = (
-    Look(0.05, 0.003, 0.3, 1, 1.1, 4096),
-    Look(0.025, 0.001, 0.6, 2, 1.1, 4096),
-    Look(0.0125, 0.0, 0.8, 3, 1.1, 4096),
-    Look(0.003125, 0.0, 1.0, 5, 1.01, 512),
+    Look(0.05, 0.003, 0.3, 1, 4, 1.1, 512),
+    Look(0.025, 0.001, 0.6, 2, 1, 1.1, 512),
+    Look(0.0125, 0.0, 0.8, 3, 1, 1.1, 512),
+    Look(0.003125, 0.0, 1.0, 5, 1, 1.01, 64),
 )
 PARTS = np.array([0.25, 0.5, 1.0])  # of a look's cushion, that a search keeps whose ends lack the whole of it
 CUSHIONS = np.unique([CLOSE, *(part * look.cushion for look in LOOKS for part in PARTS if look.cushion)])
@@ -185,7 +171,7 @@ def search_on(searches: Searches, rows: np.ndarray, look: Look, cushion: np.ndar
     walled in."""
     looked, before = searches.taken.copy(), searches.found.count.copy()
     while len(rows) and not clock.over:
-        searches.grow(rows, np.minimum(CALL, limit[rows] - searches.taken[rows]), look.step, cushion[rows], look.scales)
+        searches.grow(rows, CALL, limit[rows], look, cushion[rows])
         clock.tick()
         found, taken = searches.found, searches.taken
         judged = taken - looked >= look.patience

@@ -29,3 +29,8 @@ def arm(tmp_path_factory):
     file = tmp_path_factory.mktemp("flat") / "flat.urdf"
     file.write_text(URDF)
     return jaxik.load(file, tip="tip"), Coal(jaxik.load(file, tip="tip"), file, None)
+
+
+@pytest.fixture
+def arm_urdf():
+    return URDF

@@ -158,9 +158,9 @@ def test_reasons(arm, scene, start, goal, why):
 def test_no_way_is_proven_or_not_converged(arm):
     """Between walls, a slot that is narrower than the arm must turn in."""
     moved = plan_motion(arm[0], [0.0, 0.0, 0.0], [0.0, 0.0, 3.1], scene=ENCLOSED, rounds=3)
-    assert moved.why.startswith("no way; after 3 edges its trees were ") and moved.where == "" and moved.checked > 0
+    assert moved.why.startswith("no way; after 3 rounds its trees were ") and moved.where == "" and moved.checked > 0
     moved = plan_motion(arm[0], START, GOAL, scene=POLES, rounds=1)
-    assert moved.why.startswith("not converged; after 1 edge its trees were ") and "another seed" in moved.why
+    assert moved.why.startswith("not converged; after 1 round its trees were ") and "another seed" in moved.why
 
 
 def test_what_is_walled_in_is_given_up_early(arm):

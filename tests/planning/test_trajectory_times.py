@@ -1,14 +1,18 @@
 """The fastest motions: as fast as a linear programme's, no slower than the planner's, inside limits, alone and in a batch."""
 
+import re
+
 import jax.numpy as jnp
 import numpy as np
+import pinocchio as pin
 import pytest
+from peers.rigid_truth import of_robot
 from scipy.optimize import linprog
 from test_trajectories import ASIDE, GOAL, NEAR, POLES, START, sampled
 
 import jaxik
 from jaxik.optimise import collocation, splines
-from jaxik.planning import TrajectoryOptions, optimise_trajectory, plan_motion
+from jaxik.planning import TrajectoryOptions, optimise_trajectory, plan_motion, time_path
 from jaxik.reasons import Reason
 
 
@@ -62,6 +66,30 @@ def test_no_slower_than_the_planner(arm):
     assert max(ratios) <= 1.0 and min(ratios) < 0.97
     moved = optimise_trajectory(robot, NEAR, ASIDE, scene=POLES, **limits).trajectory.duration
     assert slowest <= moved * (1.0 + 1e-9) and moved <= 1.001 * slowest
+
+
+def test_no_slower_than_the_planner_within_torque(arm_urdf, tmp_path):
+    """Its motion may be taken, in the least time that the drives allow; Pinocchio says what they give."""
+    inertia = '<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/>'
+    body = f'<inertial><origin xyz="0.15 0 0"/><mass value="2"/>{inertia}</inertial>'
+    file = tmp_path / "heavy.urdf"
+    file.write_text(re.sub('(<link name="[abc]">)', rf"\1{body}", arm_urdf))
+    robot, torque = jaxik.load(file, tip="tip"), np.array([12.0, 6.0, 2.0])
+    moved = plan_motion(robot, START, GOAL, scene=POLES)
+    planned = time_path(moved.trajectory.path, robot=robot, torque=torque)
+    found = optimise_trajectory(robot, START, GOAL, scene=POLES, torque=torque)
+    assert len(moved.waypoints) > 2 and found.why == "solved" and found.trajectory.duration <= planned.duration
+    state = sampled(found.trajectory, np.linspace(0.0, found.trajectory.duration, 2001))
+    model = of_robot(robot)
+    data = model.createData()
+    used = [pin.rnea(model, data, *map(np.asarray, each)) for each in zip(*state.state, strict=True)]
+    assert 0.95 < np.max(np.abs(used) / torque) <= 1.0 + 1e-3
+
+
+def test_that_there_is_no_way_is_told(arm):
+    walls = jaxik.make_scene(boxes=[[0.0, y, 0.0, 4.0, 0.1, 1.0] for y in (-0.15, 0.15)])
+    found = optimise_trajectory(arm[0], np.zeros(3), [0.0, 0.0, 3.1], scene=walls, velocity=1.0)
+    assert found.reason == Reason.NO_WAY and np.isnan(found.trajectory.duration)
 
 
 def test_jerk_is_kept_where_it_is_limited(arm):

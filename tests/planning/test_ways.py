@@ -68,15 +68,15 @@ def test_the_search_is_that_of_plain_xla(arm):
     space = CollisionChecker(robot, POLES, 0.0)
     lower, upper = (x[None] for x in robot.finite_limits)
     search = tree_search.Searches(space, START[None], [GOAL[None]], lower, upper, 0, np.zeros(1, int))
-    rows = np.arange(1)
-    reach = *search.range, np.full(1, 0.05, np.float32), np.zeros(1, np.float32), np.full(1, 3, np.uint32)
+    one = lambda x: np.full(1, x, np.int32)
+    reach = *search.range, np.full(1, 0.05, np.float32), np.zeros(1, np.float32), one(3), one(2), one(15), one(15)
     fixed = space.world.around, space.world.body, np.asarray(space.weights, np.float32)
-    given = *(x.copy() for x in search.found), search.offset, *reach, np.full(1, 15, np.int32)
+    given = *(x.copy() for x in search.found), search.offset, *reach
     with jax.enable_x64(False):
         plain = tree_search.Search(*map(np.asarray, tree_search.searched(robot, False).by_xla(*given, *fixed)))
-    search.grow(rows, np.full(1, 15), 0.05, np.zeros(1), scales=3)
+    search.grow(np.arange(1), 15, one(15), ways.LOOKS[0]._replace(scales=3, few=2), np.zeros(1))
     found = search.found
-    assert found.turn.tolist() == plain.turn.tolist() == [15] and found.count.tolist() == plain.count.tolist()
+    assert found.looks.tolist() == plain.looks.tolist() == [15] and found.count.tolist() == plain.count.tolist()
     for tree, count in enumerate(found.count[0]):
         np.testing.assert_array_equal(found.parent[0, tree, :count], plain.parent[0, tree, :count])
         nodes = (x.nodes[0, tree].reshape(3, -1)[:, :count] for x in (found, plain))
