@@ -30,7 +30,7 @@ from jaxik.planning import plan_motion
 
 HERE = Path(__file__).parent
 TIPS = ["left_gripper", "right_gripper"]
-FIRST, SEEDS, EVERY, MOMENTS = 20, 5, 20, 10_000
+FIRST, SEEDS, SOME, MOMENTS = 20, 5, 12, 10_000
 
 
 def asked(robot: jaxik.Robot, coal: Coal, goals: list[Goal]) -> dict[str, Any]:
@@ -85,7 +85,7 @@ def between_goals(coal: Coal, goals: list[Goal], seed: int = 0) -> list[Goal]:
 def one_arm(robot: jaxik.Robot, goals: list[Goal]) -> dict[str, Any]:
     """The left arm to its goal, the right one at its start: how many are solved, how long it takes, and whether it stands."""
     left, each = np.array([name.startswith("left") for name in robot.joint_names]), []
-    for goal in goals[::EVERY]:
+    for goal in goals[:: max(1, len(goals) // SOME)]:
         ask = functools.partial(plan_motion, robot, goal.start, np.where(left, goal.q, goal.start), scene=goal.scene)
         each.append((*clocked(lambda ask=ask: ask(moving=TIPS[0])), goal))
     some = [(moved, seconds, goal) for moved, seconds, goal in each if not moved.where]
@@ -131,7 +131,11 @@ def carried(robot: jaxik.Robot) -> dict[str, Any]:
 def seeds(robot: jaxik.Robot, goals: list[Goal]) -> dict[str, int]:
     """How often each of some seeds finds a way."""
     plan = functools.partial(plan_motion, robot)
-    found = [plan(goal.start, goal.q, scene=goal.scene, seed=seed) for goal in goals[::EVERY] for seed in range(SEEDS)]
+    found = [
+        plan(goal.start, goal.q, scene=goal.scene, seed=seed)
+        for goal in goals[:: max(1, len(goals) // SOME)]
+        for seed in range(SEEDS)
+    ]
     return {"asked": sum(not moved.where for moved in found), "solved": sum(map(bool, found))}
 
 
@@ -142,7 +146,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
     wanted = parser.parse_args()
     robot = motionbenchmaker.load_robot(wanted.folder, TIPS)
-    goals = list(motionbenchmaker.goals(wanted.folder, robot))[:: wanted.every]
+    goals = list(motionbenchmaker.goals(wanted.folder, robot, wanted.every))
     posture = motionbenchmaker.posture(wanted.folder, robot)
     coal = Coal(robot, *motionbenchmaker.files(wanted.folder), broad=True, posture=posture)
     sets = {name: [goal for goal in goals if f"_{name}_" in goal.name] for name in ("easy", "medium", "hard")}

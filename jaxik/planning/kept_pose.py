@@ -89,7 +89,7 @@ class KeptPose:
     def walked(
         self, start: np.ndarray, target: np.ndarray, weights: np.ndarray, step: float, exact: bool
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """So many `STRIDES` of at most a `step` [m] from each start towards a target (b, n), which are on the constraint, the
+        """Takes `STRIDES` of at most a `step` [m] from each start towards a target (b, n), which are on the constraint, the
         targets only if that is `exact`: where each stride ends (b, strides, n), how many there are before one brings it no
         nearer (b,), and whether the last one arrives (b,). Lengths are those of joints times `weights`."""
         how = self.wanted, weights, self.lower, self.upper, np.array([step, float(exact)])

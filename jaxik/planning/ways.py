@@ -183,8 +183,8 @@ def search_on(searches: Searches, rows: np.ndarray, look: Look, cushion: np.ndar
 
 def search_range(space: CollisionChecker, start: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`finite_limits`; those of a joint that lacks one are moved as far towards the start (..., n) as its other one, and the
-    bounds of `space`, which is a `turn` (..., n) further, allow: how often it has turned before makes no difference. Of a
-    joint that does not move both are where the start has it."""
+    bounds of `space`, which is a `turn` (..., n) further, allow: how often it has turned before makes no difference. A
+    joint that does not move has the start's value twice."""
     lower, upper = space.robot.finite_limits
     robot = space.robot
     least, most = (np.where(np.isfinite(limit), 0.0, end) for limit, end in ((robot.lower, -np.inf), (robot.upper, np.inf)))
