@@ -38,7 +38,7 @@ LIMB_LOOKS = (LOOKS[0], 1 / 64), (LOOKS[0], 1 / 4), (LOOKS[2], 1 / 2)  # and the
 
 @functools.lru_cache(maxsize=64)
 def limbs(tree: Tree, joints: int) -> np.ndarray:
-    """The limbs (k, n), by which of so many joints belong to each: those that follow one another between two branchings of the tree."""
+    """The limbs (k, n), by which of so many joints belong to each: what follows one another between two branchings."""
     rows = range(len(tree.parents))
     hang = np.bincount(np.array(tree.parents, int) - BASE_ROW, minlength=len(rows) + 1)[1:]  # on each row
     limb = np.arange(joints)

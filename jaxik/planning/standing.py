@@ -17,8 +17,8 @@ SAME = 1e-9  # [rad, m] by which a joint that stands may differ at start and goa
 
 
 def moving_joints(who: str, robot: Robot, names: Sequence[str]) -> np.ndarray | None:
-    """The joints (n,) that move: those named, those of a group, and those on the way to a tip or another link. None, all of them,
-    without names. Raises `ValueError` for a name that is none of these, and where nothing moves."""
+    """The joints (n,) that move: those named, those of a group, and those on the way to a tip or another link; None, all of
+    them, without names. Raises `ValueError` for a name that is none of these, and where nothing moves."""
     if not names:
         return None
     moves, tree, count = np.zeros(robot.num_joints, bool), robot.tree, len(robot.tips)
