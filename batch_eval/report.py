@@ -44,6 +44,7 @@ from tables.postures import (
 from tables.programs import programs_markdown
 from tables.teleoperation import teleoperation_markdown
 from tables.trees import trees_markdown
+from tables.two_arm_plans import two_arm_plans_markdown
 from tables.two_arms import two_arms_markdown
 from tables.words import duration
 
@@ -84,7 +85,8 @@ TABLES = {
     "touch.json": touch_markdown,
     "trajectory_benchmark.json": trajectory_markdown,
     "tree_benchmark.json": trees_markdown,
-    "two_arm_planning_benchmark.json": two_arms_markdown,
+    "two_arm_harvest_benchmark.json": two_arms_markdown,
+    "two_arm_planning_benchmark.json": two_arm_plans_markdown,
 }
 
 

@@ -43,6 +43,14 @@ def motions() -> None:
     plot_harvest_plan(jaxik.harvesting.plan_harvest(result, margin=0.002), FOLDER / "motions.png")
 
 
+def two_arms() -> None:
+    """The picture of `jaxik harvest --arms 2 --motions`."""
+    from jaxik.view import plot_harvest_plan
+
+    result = jaxik.harvest(jaxik.load("p6r_pair"), jaxik.load_scene("cucumber_row"), margin=0.005)
+    plot_harvest_plan(jaxik.harvesting.plan_harvest(result, margin=0.002), FOLDER / "two_arms.png")
+
+
 def reach() -> None:
     """The picture of `jaxik sweep --plot`, of the page's study on a finer grid."""
     from jaxik.view import plot_sweep
@@ -323,7 +331,7 @@ def _save(figure: Any, name: str) -> None:
     plt.close(figure)
 
 
-ALL = (harvest, motions, reach, kernels, inverse_kinematics, collision, between, predictive, external_torque)
+ALL = (harvest, motions, two_arms, reach, kernels, inverse_kinematics, collision, between, predictive, external_torque)
 
 if __name__ == "__main__":
     wanted = sys.argv[1:] or [draw.__name__ for draw in ALL]

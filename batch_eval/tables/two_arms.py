@@ -1,38 +1,32 @@
-"""The table of motions of two arms."""
+"""The table of two arms that harvest one row."""
 
 from __future__ import annotations
 
-import textwrap
 from typing import Any
 
 
 def two_arms_markdown(result: dict[str, Any]) -> str:
-    """A row a set of problems; one arm alone, and a tray in both hands."""
-    heads = "Baxter, 14 joints", "problems", "ends free", "solved", "free by coal", "p50", "p95", "slowest", "motion"
-    lines = [f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
-    for name, row in result["sets"].items():
-        counts = " | ".join(f"{row[key]:,}" for key in ("problems", "ends_free", "solved", "free"))
-        times = " | ".join(f"{row[key]:.0f} ms" for key in ("p50_ms", "p95_ms", "slowest_ms"))
-        lines.append(f"| {name} | {counts} | {times} | {row['duration_s']:.1f} s |")
-    alone, tray, seeds, first = (result[name] for name in ("one arm", "tray", "seeds", "fresh"))
-    refused = sum(row["problems"] - row["ends_free"] for row in result["sets"].values())
-    hit = sum(row["refused_and_hit_by_coal"] for row in result["sets"].values())
-    p50, p95 = (
-        {name: f"{row[key]:.0f} ms" for name, row in (("alone", alone), ("tray", tray))} for key in ("p50_ms", "p95_ms")
-    )
-    told = [
-        f"Asked is every {_th(result['every'])} problem. Of the {refused} whose goal is refused coal, too, finds "
-        f"{hit} in collision. With five seeds {seeds['solved']} of {seeds['asked']} are solved. A first call takes "
-        f"{first['compiling']['first_s']:.1f} s, {first['kernels_on_disk']['first_s']:.1f} s with its kernels on disk.",
-        f"The left arm alone (`moving=`): {alone['solved']} of {alone['asked']} in {p50['alone']} (p50), "
-        f"{p95['alone']} (95 %); the right one stands to the last bit in {alone['stand']}.",
-        f"A tray in both hands through a door (`keep=`): {tray['solved']} of {tray['asked']} in {p50['tray']} (p50), "
-        f"{p95['tray']} (95 %). At {tray['moments']:,} moments of each the hands are at most {tray['off_mm']:.3f} mm and "
-        f"{tray['off_mrad']:.3f} mrad off, of 0.1 and 0.1 that are proven; the clearance is {tray['clearance_mm']:.1f} mm at "
-        "least.",
+    """A row for each set-up and each other row: one arm, two, and what the judge says."""
+    lines = [
+        "| | one arm | two arms | of its time | of its time a fruit | arms apart | from all else |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
-    return "\n".join([*lines, *(line for each in told for line in ("", *textwrap.wrap(each, 130)))])
-
-
-def _th(number: int) -> str:
-    return {1: "single", 2: "second", 3: "third"}.get(number, f"{number}th")
+    every = {f"the shipped row, {name}": row for name, row in result["setups"].items()}
+    every |= {f"a row of seed {seed}": row for seed, row in result["rows"].items()}
+    for name, row in every.items():
+        one, two = row["p6r"], row["p6r_pair"]
+        times = [f"{each['picked']} in {each['s']:.1f} s" for each in (one, two)]
+        seen = two["judged"]
+        far = f"{1e3 * seen['arms_apart_m']:.0f} mm" if seen["arms_apart_m"] < 0.2 else "over 200 mm"
+        shares = f"{row['ratio']:.2f} | {row['ratio_a_fruit']:.2f}"
+        lines.append(f"| {name} | {' | '.join(times)} | {shares} | {far} | {1e3 * seen['scene_apart_m']:.1f} mm |")
+    judged = [row["p6r_pair"]["judged"] for row in every.values()]
+    count, hits = sum(each["samples"] for each in judged), sum(each["arms_hit"] for each in judged)
+    return "\n".join(
+        [
+            *lines,
+            "",
+            f"Of {count:,} samples, one a millisecond, the arms touch in {hits} by Coal; {1e3 * result['margin_m']:g} mm are "
+            "asked for, from all that stands, too.",
+        ]
+    )

@@ -15,9 +15,12 @@ import jaxik
 from jaxik.cli.arguments import ShapedRobotArguments, flags, given
 from jaxik.cli.results import check_writable, naming, print_table, write_csv
 from jaxik.cli.terminal import progress_bar
+from jaxik.files.documents import models_folder
+from jaxik.harvesting.arms import MOST, arm_named, arms_of
 from jaxik.harvesting.driver import HarvestOptions, HarvestResult
 from jaxik.harvesting.harvest_plan import HarvestPlan, HarvestPlanOptions, Leaves, Order, save_harvest
 from jaxik.harvesting.harvest_planner import plan_harvest
+from jaxik.kinematics.robot import Robot
 from jaxik.planning.trajectory_files import ENDINGS
 
 HARVEST = flags(
@@ -51,6 +54,9 @@ class HarvestArguments(HARVEST, MOTIONS, ShapedRobotArguments):
 
     robot: str = "p6r"
     """A shipped model or a robot file (.urdf, .xml, .toml)."""
+    arms: int | None = None
+    """Arms that harvest at the same time, as many as the robot has tips unless given; 2: two of a shipped robot on one rail
+    (p6r_pair for p6r), or those to two tips of a file: --tip LEFT,RIGHT."""
     scene: str = "cucumber_row"
     """A shipped scene or a scene file (.toml, or labelled points as .csv or .ply)."""
     motions: bool = False
@@ -72,7 +78,7 @@ class HarvestArguments(HARVEST, MOTIONS, ShapedRobotArguments):
         if used and not self.motions:
             raise ValueError(f"{', '.join(used)}: of motions; add --motions")
         check_writable(self.out, folder=True)
-        robot = jaxik.load(self.robot, **self.loading())
+        robot = self.load()
         scene = jaxik.load_scene(self.scene)
         how = self.plan_options(robot.num_joints)
         with progress_bar() as bar:
@@ -92,6 +98,24 @@ class HarvestArguments(HARVEST, MOTIONS, ShapedRobotArguments):
         took = f"{result.candidates} candidates in {result.seconds:.1f} s"
         print(f"{len(result)} fruits: {counts}; {took}; {'' if plan is None else _in_motion(plan)}wrote {self.out}/")
 
+    def load(self) -> Robot:
+        """The robot with as many arms as are asked for."""
+        if self.arms not in (None, *range(1, MOST + 1)):
+            raise ValueError(f"--arms {self.arms}: allowed: 1 to {MOST}")
+        pair = f"{self.robot}_pair"
+        name = pair if self.arms == MOST and (models_folder() / f"{pair}.toml").is_file() else self.robot
+        how = self.loading()
+        if self.tip is not None and "," in self.tip:
+            how["tip"] = self.tip.split(",")
+        robot = jaxik.load(name, **how)
+        count = len(arms_of(robot, "harvest"))
+        if self.arms not in (None, count):
+            mend = (
+                "give --tip LEFT,RIGHT, or --robot p6r" if count < MOST else f"leave it out, or give --tip {robot.tip_names[0]}"
+            )
+            raise ValueError(f"--arms {self.arms}: {robot.name} has {count} {'arm' if count == 1 else 'arms'}; {mend}")
+        return robot
+
     def plan_options(self, joints: int) -> HarvestPlanOptions:
         """The options of `plan_harvest` among these."""
         for name in ("home", "place"):
@@ -106,33 +130,43 @@ class HarvestArguments(HARVEST, MOTIONS, ShapedRobotArguments):
 def _print_cycles(plan: HarvestPlan) -> None:
     """A line a fruit, as they are picked, and those that are not."""
     kinds = ("transfer", "approach", "retreat", "transport")
+    several = len(plan.arms) > 1
     order = {name: i for i, name in enumerate(plan.order, 1)}
     rows = []
     for row in sorted(plan, key=lambda row: order.get(row.fruit, len(plan))):
         seconds = {stage.kind: f"{stage.end - stage.start:.2f}" for stage in row.stages}
         cells = [f"{row.duration:.2f}" if row.stages else "", *(seconds.get(kind, "") for kind in kinds)]
-        rows.append([row.fruit, str(order.get(row.fruit, "")) or row.why, *cells, ", ".join(row.leaves)])
-    print_table("motions [s]", ("fruit", "order, or why not", "cycle", *kinds, "leaves touched"), rows)
+        by = [row.arm] * several
+        rows.append([row.fruit, str(order.get(row.fruit, "")) or row.why, *by, *cells, ", ".join(row.leaves)])
+    columns = ("fruit", "order, or why not", *["arm"] * several, "cycle", *kinds, "leaves touched")
+    print_table("motions [s]", columns, rows)
 
 
 def _in_motion(plan: HarvestPlan) -> str:
     """How many are picked, and how soon."""
     picked = len(plan.order)
     each = f", {plan.cycle:.2f} s each in motion (the paper wants 10 s for a whole cycle)" if picked else ""
+    if len(plan.arms) > 1:
+        each += ": " + " and ".join(f"{sum(row.arm == arm.name for row in plan)} by {arm.name}" for arm in plan.arms)
     leaves = f", touching {len(plan.leaves)} leaves" if plan.leaves else ""
     return f"{picked} picked in {plan.duration:.1f} s{each}{leaves}; planned in {plan.seconds:.1f} s; "
 
 
 def _print_table(result: HarvestResult) -> None:
-    robot, rows = result.robot, []
+    robot, rows, arms = result.robot, [], arms_of(result.robot, "harvest")
+    several, most = len(arms) > 1, max(len(arm.joints) for arm in arms)
     for row in result:
+        by = [row.arm if row.success else ""] * several
         if row.success:
-            joints = [f"{x:.3f}" if p else f"{np.degrees(x):.1f}" for x, p in zip(row.q, robot.is_prismatic, strict=True)]
-            cells = [*joints, f"{1000 * row.clearance:.0f}", f"{row.freedom:.2f}", row.found_by]
+            own = arm_named(robot, row.arm)
+            q = zip(row.q[list(own.joints)], own.robot.is_prismatic, strict=True)
+            joints = [f"{x:.3f}" if slides else f"{np.degrees(x):.1f}" for x, slides in q]
+            cells = [*joints, *[""] * (most - len(joints)), f"{1000 * row.clearance:.0f}", f"{row.freedom:.2f}", row.found_by]
         else:
-            cells = [*[""] * (robot.num_joints + 2), row.blockers.words if row.blockers else ""]
-        rows.append([row.fruit, row.reason.text, *cells])
-    headings = ("fruit", "result", *robot.joint_names, "clearance [mm]", "freedom", "found by, or first")
+            cells = [*[""] * (most + 2), row.blockers.words if row.blockers else ""]
+        rows.append([row.fruit, row.reason.text, *by, *cells])
+    names = [f"joint {k}" for k in range(1, most + 1)] if several else robot.joint_names
+    headings = ("fruit", "result", *["arm"] * several, *names, "clearance [mm]", "freedom", "found by, or first")
     print_table(f"{robot.name} in {result.scene.name}", headings, rows)
     print("joints in degrees, prismatic ones in metres")
 

@@ -175,38 +175,25 @@ def _collides(robot: Robot, around: Grouped, q: Any, margin: Any) -> Any:
 
 def lanes_that_collide(robot: Robot, around: Grouped, q: Any, margin: Any, each: Any) -> Any:
     """Whether a team's lane has a configuration that `collides`, of `each` lane, or of the first that does and those before it:
-    the others then need not be known. Nothing is checked. Traced."""
+    the others then need not be known. Nothing is checked. Traced.
+
+    Programs that ask for it with arguments of the same shapes share one trace."""
+    ask = _one_trace(robot) if is_known(robot) else functools.partial(_lanes_that_collide, robot)
+    return ask(around, q, jnp.asarray(margin, q.dtype), jnp.asarray(each))
+
+
+def _lanes_that_collide(robot: Robot, around: Grouped, q: Any, margin: Any, each: Any) -> Any:
     me = lax.axis_index(TEAM)
 
     def settled(hit: Any) -> Any:
         return jnp.where(each, hit, me >= lax.pmin(jnp.where(hit, me, TEAM_SIZE), TEAM))
 
-    return _too_near(robot, around, q, jnp.asarray(margin, q.dtype), settled)
-
-
-def first_to_collide(robot: Robot, around: Grouped, q: Any, margin: Any, every: Any) -> Any:
-    """The number of a team's first lane whose configuration `collides`, or how many lanes there are. With `every` any one that
-    does will do. Lanes behind the first need not be known. Nothing is checked. Traced.
-
-    Programs that ask for it with arguments of the same shapes share one trace."""
-    ask = _one_trace(robot) if is_known(robot) else functools.partial(_first_to_collide, robot)
-    return ask(around, q, jnp.asarray(margin, q.dtype), jnp.asarray(every))
-
-
-def _first_to_collide(robot: Robot, around: Grouped, q: Any, margin: Any, every: Any) -> Any:
-    me = lax.axis_index(TEAM)
-    first = lambda hit: lax.pmin(jnp.where(hit, me, TEAM_SIZE), TEAM)
-
-    def settled(hit: Any) -> Any:
-        known = first(hit)
-        return (known < TEAM_SIZE) & (every | (me >= known))
-
-    return first(_too_near(robot, around, q, margin, settled))
+    return _too_near(robot, around, q, margin, settled)
 
 
 @functools.lru_cache(maxsize=64)
 def _one_trace(robot: Robot) -> Callable[..., Any]:
-    return jax.jit(functools.partial(_first_to_collide, robot))
+    return jax.jit(functools.partial(_lanes_that_collide, robot))
 
 
 def _too_near(robot: Robot, around: Grouped, q: Any, margin: Any, settled: Callable[[Any], Any]) -> Any:

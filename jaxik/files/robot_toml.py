@@ -19,7 +19,7 @@ import numpy as np
 from jaxik.checks.options import among, nearest, shown
 from jaxik.collision.scene import LIMIT
 from jaxik.files.documents import locate, read_bytes
-from jaxik.files.held_joints import Posture
+from jaxik.files.held_joints import Pair, Posture
 from jaxik.files.mesh import resolve
 from jaxik.files.robot_builder import (
     JOINT_TYPES,
@@ -33,7 +33,7 @@ from jaxik.files.robot_builder import (
     symmetric,
     unique,
 )
-from jaxik.files.tree_ways import AskedTips, ways_of
+from jaxik.files.tree_ways import AskedTips, carried_links, ways_of
 from jaxik.kinematics.drive import Drive, Friction, Side
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
@@ -238,41 +238,42 @@ def _written(value: Any) -> str:
 
 @dataclasses.dataclass
 class Parts:
-    """The content of a model file: the joints from its base to its tip, the links' content, the tip's frame in the last
-    joint's, and the base's in the world."""
+    """The content of a model file: the joints, each with the link that it hangs on and after it, the links' content, the tip's
+    frame in the last link, and the base's in the world; and its `tips` where it names several."""
 
-    joints: list[Joint]
+    pairs: list[Pair]
     links: dict[str, Link]
     tool: np.ndarray
     mount: np.ndarray
+    tips: tuple[str, ...]
 
     @property
     def names(self) -> list[str]:
-        """The links, from base to tip."""
-        return ["base", *(joint.child for joint in self.joints)]
+        """The links, the base first."""
+        return ["base", *(joint.child for _, joint in self.pairs)]
 
 
 def load_toml(model: Table, tip: AskedTips, base: str | None, tool: np.ndarray | None, posture: Posture) -> Robot:
-    """A model file to a chain from link `base`, or from a base that moves, to link `tip`, where they are given; joints after
-    the tip are held."""
+    """A model file to a robot from link `base`, or from a base that moves, to the `tip` or tips, where they are given, else to
+    those that it names, or its only leaf; joints on no way to a tip are held."""
     path, parts = model.path, _parts(model, (model.path.resolve(),))
-    joints, names = parts.joints, parts.names
-    above, moves = dict(zip(names[1:], names, strict=False)), base if base in MOVING_BASES and base not in names else None
-    asked = AskedTips((names[-1],)) if tip.names is None else tip
+    names = parts.names
+    above, moves = {j.child: parent for parent, j in parts.pairs}, base if base in MOVING_BASES and base not in names else None
+    asked = AskedTips(parts.tips, True) if tip.names is None and parts.tips else tip
     ways = ways_of(path, names, above, asked, "base" if moves else base or "base")
-    first, last = names.index(ways.root), max(map(names.index, ways.tips))
     if tip.names is None:
         tool = parts.tool if tool is None else parts.tool @ tool
-    pairs = [*zip(names, joints, strict=False)]
-    pairs, root = posture.settle(path, pairs[first:last], pairs[last:], False), names[first]
+    led = {joint.child: (parent, joint) for parent, joint in parts.pairs}
+    carried = [led[link] for link in carried_links(above, ways)]
+    pairs, root = posture.settle(path, [led[link] for link in ways.below], carried, asked.several), ways.root
     if moves:
-        pairs = [*moving_base(moves, root, (*names, *(j.name for j in joints))), *pairs]
+        pairs = [*moving_base(moves, root, (*names, *(j.name for _, j in parts.pairs))), *pairs]
         root = pairs[0][0]
         all_driven(joint for _, joint in pairs)
-    named = zip(asked.names or (), ways.tips, strict=True)
+    named = zip(asked.names or ways.tips, ways.tips, strict=True)
     tips = [Tip(name, link, np.eye(4) if tool is None else tool) for name, link in named]
-    mount_here = parts.mount if first == 0 else None
-    return assemble_tree(path, model.text("name"), root, pairs, parts.links, tips if tip.several else tips[0], mount_here)
+    mount_here = parts.mount if ways.root == "base" else None
+    return assemble_tree(path, model.text("name"), root, pairs, parts.links, tips if asked.several else tips[0], mount_here)
 
 
 def _parts(model: Table, files: tuple[Path, ...]) -> Parts:
@@ -280,15 +281,18 @@ def _parts(model: Table, files: tuple[Path, ...]) -> Parts:
     model.text("name")
     model.text("description", "-")
     convention = model.text("convention", None, CONVENTIONS)
-    parts = Parts([], {}, _frame(model.table("tool")), _frame(model.table("mount")))
+    parts = Parts([], {}, _frame(model.table("tool")), _frame(model.table("mount")), tuple(map(str, model.listed("tips"))))
     for row in model.tables("joint"):
-        name, kind = row.named(), row.text("type", None, (*JOINT_TYPES, "model"))
-        joints, links = _model(row, name, files) if kind == "model" else _joint(row, name, kind, convention)
-        parts.joints += joints
+        name, kind, known = row.named(), row.text("type", None, (*JOINT_TYPES, "model")), parts.names
+        on = row.text("on", known[-1])
+        if on not in known:
+            raise row.fail(f"on = '{on[:40]}': no such link before it", among(on, known, "links"))
+        pairs, links = _model(row, name, on, files) if kind == "model" else _joint(row, name, on, kind, convention)
+        parts.pairs += pairs
         parts.links |= links
-    if not parts.joints:
+    if not parts.pairs:
         raise model.fail("has no [[joint]]", "write one for each joint, from base to tip")
-    unique(model.path, "joint", (joint.name for joint in parts.joints))
+    unique(model.path, "joint", (joint.name for _, joint in parts.pairs))
     unique(model.path, "link", parts.names)
     for table in model.tables("shape"):
         _shape(table, parts.links, parts.names)
@@ -296,26 +300,29 @@ def _parts(model: Table, files: tuple[Path, ...]) -> Parts:
     return parts
 
 
-def _model(row: Table, name: str, files: tuple[Path, ...]) -> tuple[list[Joint], dict[str, Link]]:
-    """A row that is a whole model, its base at the row's frame: its joints and links, under their own names, between the links
-    NAME_base and NAME_tip. Where it is mounted otherwise does not count."""
-    source = row.text("model")
+def _model(row: Table, name: str, on: str, files: tuple[Path, ...]) -> tuple[list[Pair], dict[str, Link]]:
+    """A row that is a whole model, its base at the row's frame: its joints and links, under their own names, or these after a
+    `prefix`, between the links NAME_base and NAME_tip. Where it is mounted otherwise does not count."""
+    source, prefix = row.text("model"), row.text("prefix") if "prefix" in row.content else ""
     path = resolve(row.path, row.where, source) if Path(source).suffix else locate(source)
+    row.asked.add("prefix")
     if path is None or path.suffix != ".toml":
         raise row.fail(f"model '{source[:40]}' is no TOML file", "name a shipped model, or a .toml beside this file")
     if path.resolve() in files or len(files) > CARRIED:
         raise row.fail(f"model '{source[:40]}' would carry itself, or be one of too many", f"at most {CARRIED} in one another")
     parts = _parts(read_toml(path), (*files, path.resolve()))
     base, tip = f"{name}_base", f"{name}_tip"
+    link = lambda own: base if own == "base" else f"{prefix}{own}"
     first, last = Joint(name, "fixed", _frame(row), base), Joint(tip, "fixed", parts.tool, tip)
-    return [first, *parts.joints, last], {base if link == "base" else link: held for link, held in parts.links.items()}
+    inside = [(link(p), dataclasses.replace(j, name=f"{prefix}{j.name}", child=link(j.child))) for p, j in parts.pairs]
+    return [(on, first), *inside, (inside[-1][1].child, last)], {link(own): held for own, held in parts.links.items()}
 
 
 def _frame(table: Table) -> np.ndarray:
     return frame(table.array("translation", "reach", (3,), np.zeros(3)), table.turn())
 
 
-def _joint(table: Table, name: str, kind: str, convention: str) -> tuple[list[Joint], dict[str, Link]]:
+def _joint(table: Table, name: str, on: str, kind: str, convention: str) -> tuple[list[Pair], dict[str, Link]]:
     """A row of the table: its joint, for the standard convention the fixed frame that follows it, and its link."""
     link_name = table.text("link", f"{name}_link")
     after = None
@@ -340,9 +347,9 @@ def _joint(table: Table, name: str, kind: str, convention: str) -> tuple[list[Jo
         joint.armature = float(table.finite("armature", (), 0.0, "plain" if kind == "prismatic" else "inertia", rotor))
     link = {link_name: _inertia(table)}
     if after is None:
-        return [joint], link
+        return [(on, joint)], link
     joint.child = f"{name}_axis"
-    return [joint, Joint(f"{name}_frame", "fixed", after, link_name)], link
+    return [(on, joint), (joint.child, Joint(f"{name}_frame", "fixed", after, link_name))], link
 
 
 def read_drive(joint: Table) -> Drive | None:

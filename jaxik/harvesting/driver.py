@@ -13,6 +13,7 @@ from jaxik.checks.options import check_kind
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.contact_report import warn_of_scene
 from jaxik.collision.scene import Scene
+from jaxik.harvesting.arms import arms_of, whole
 from jaxik.harvesting.blocking_objects import unblocked
 from jaxik.harvesting.scanning import ScanOptions, ScanResult, recover, scan
 from jaxik.kinematics.forward import pose_errors
@@ -31,10 +32,11 @@ class HarvestOptions(ScanOptions, who="harvest"):
 class HarvestResult(Result):
     """One row a fruit, in the scene's order; it prints as a line a fruit. Without a posture the numbers of a row are NaN.
 
-    fruit: its name. q (b, n) [rad, m]. angle (b,) [rad] about the fruit's axis. clearance (b,) [m]. freedom (b,) in [0, 1].
+    fruit: its name. arm: the tip of the arm that reaches it, of a robot with two; "" of one arm. q (b, n) [rad, m], the other
+    arm as it is by default. angle (b,) [rad] about the fruit's axis. clearance (b,) [m]. freedom (b,) in [0, 1].
     score (b,): see `HarvestOptions`. position_error [m] and rotation_error [rad] of the tip (b,), in float64.
     found_by: "grid", "finer grid", "gradient", or "". blockers: what has to go first, if the reason is COLLISION, else None.
-    scan: all candidates. seconds: how long all rows took.
+    scan: all candidates, of this arm. each: of two arms the row of each alone. seconds: how long all rows took.
     """
 
     HELP = {
@@ -58,19 +60,28 @@ class HarvestResult(Result):
     robot: Robot = static()
     scene: Scene = static()
     options: HarvestOptions = static()
+    arm: Any = by_row(default="")
+    each: Any = by_row(default=())
     seconds: float = static(default=0.0)
 
     @property
     def candidates(self) -> int:
         """How many candidates were looked at."""
-        return sum(row.scan.status.size for row in self)
+        return sum(one.scan.status.size for row in self for one in row.each or (row,))
+
+    @property
+    def of_arms(self) -> tuple[HarvestResult, ...]:
+        """The rows of each arm alone; itself of one arm."""
+        rows = list(self)
+        return tuple(HarvestResult.stacked(own) for own in zip(*(row.each or (row,) for row in rows), strict=True))
 
     def _words(self, reason: Reason, row: int) -> str:
         blockers = self.blockers if self.single else self.blockers[row]
         return f"{reason.text}: {blockers.words}" if blockers else super()._words(reason, row)
 
     def __repr__(self) -> str:
-        fate = lambda row: f"clearance {1000 * row.clearance:.1f} mm" if row else row.why
+        by = lambda row: f", by {row.arm}" if row.arm else ""
+        fate = lambda row: f"clearance {1000 * row.clearance:.1f} mm{by(row)}" if row else row.why
         lines = [f"  {row.fruit}: {fate(row)}" for row in self]
         return "\n".join([f"Harvest of {self.scene.name} by {self.robot.name}: {self._told()}", *lines])
 
@@ -80,6 +91,8 @@ class HarvestResult(Result):
         joined = lambda name: np.array([" ".join(getattr(row.blockers, name, None) or ()) for row in rows])
         column = lambda name: np.array([getattr(row, name) for row in rows])
         known = {"fruit": column("fruit"), "joint_names": np.array(self.robot.joint_names), "q": column("q")}
+        if any(row.arm for row in rows):
+            known["arm"] = column("arm")
         known |= {"success": column("success"), "reason": np.array([row.reason.text for row in rows])}
         known |= {"found_by": column("found_by"), "pick_first": joined("pick_first"), "remove": joined("removal")}
         return known | {name: column(name) for name in NUMBERS}
@@ -97,30 +110,54 @@ def harvest(
 
     Scans all angles about a fruit's axis with all positions of the leading joints and all branches (`scan`), and recovers
     between the grid's points where the grid has nothing (`recover`). For a fruit behind obstacles it names them and what has
-    to go first (`ScanResult.blockers`): neighbours that can be picked themselves, else the fewest leaves. `changes` are fields
-    of `HarvestOptions` by name. `progress` is called with the numbers of finished fruits and of all.
+    to go first (`ScanResult.blockers`): neighbours that can be picked themselves, else the fewest leaves. Each of two arms is
+    asked alone, as if the other were not there, and a row is that of the arm with the better score; `plan_harvest` sees to it
+    that they do not meet. `changes` are fields of `HarvestOptions` by name. `progress` is called with the numbers of finished
+    fruits, one an arm, and of all.
 
-    Raises `ValueError` where the robot has no closed form or the scene no fruit, and for another kind of option. Source: Van
-    Henten et al. 2010, sec. 4, 5.1.
+    Raises `ValueError` where an arm has no closed form or the scene no fruit, for more than two arms and those that share a
+    joint, and for another kind of option. Source: Van Henten et al. 2010, sec. 4, 5.1.
     """
     options = HarvestOptions.chosen(options, changes)
     check_kind("harvest", "robot", robot, Robot)
-    robot.only_tip("harvest")
     check_kind("harvest", "scene", scene, Scene)
     if not scene.marks:
         raise ValueError(f"scene '{scene.name}' has no fruit; add one with SceneBuilder.add_mark")
     check_geometry(robot)
     warn_of_scene("harvest", robot, scene, options.margin)
-    start, rows = time.perf_counter(), []
+    start, arms, done = time.perf_counter(), arms_of(robot, "harvest"), 0
+    rows: list[list[HarvestResult]] = [[] for _ in arms]
     for fruit in scene.marks:
-        rows.append(_best(scan(robot, scene, fruit, options=options), options))
-        if progress:
-            progress(len(rows), len(scene.marks))
-    touched = {row.fruit: row.scan.touched() for row in rows if row.reason == Reason.COLLISION}
-    blocked = unblocked(touched, [row.fruit for row in rows if row])
-    found = HarvestResult.stacked(rows)
-    blockers = tuple(blocked.get(row.fruit) for row in rows)
-    return dataclasses.replace(found, blockers=blockers, seconds=time.perf_counter() - start)
+        for arm, own in zip(arms, rows, strict=True):
+            own.append(_best(scan(arm.robot, scene, fruit, options=options), options))
+            done += 1
+            if progress:
+                progress(done, len(scene.marks) * len(arms))
+    found = [_with_blockers(own, {row.fruit for each in rows for row in each if row}) for own in rows]
+    result = found[0] if len(arms) == 1 else HarvestResult.stacked([_joined(robot, row) for row in zip(*found, strict=True)])
+    return dataclasses.replace(result, seconds=time.perf_counter() - start)
+
+
+def _with_blockers(rows: list[HarvestResult], pickable: set[str]) -> HarvestResult:
+    """The rows of an arm, with what has to go first where all postures collide, and no arm can pick the fruit: of those that
+    are `pickable`, and leaves."""
+    touched = {row.fruit: row.scan.touched() for row in rows if row.reason == Reason.COLLISION and row.fruit not in pickable}
+    blocked = unblocked(touched, [row.fruit for row in rows if row.fruit in pickable])
+    return dataclasses.replace(HarvestResult.stacked(rows), blockers=tuple(blocked.get(row.fruit) for row in rows))
+
+
+NEAREST = (Reason.SOLVED, Reason.COLLISION, Reason.LIMITS, Reason.OUT_OF_REACH)
+
+
+def _joined(robot: Robot, each: tuple[HarvestResult, ...]) -> HarvestResult:
+    """The row of a fruit for a robot with two arms: that of the arm with the better score, or of which more is known."""
+    mended = lambda row: row.blockers is not None and row.blockers.removal is not None
+    worth = lambda row: (-NEAREST.index(Reason(int(row.reason))), mended(row), np.nan_to_num(float(row.score)))
+    arms = arms_of(robot, "harvest")
+    best = max(range(len(each)), key=lambda i: worth(each[i]))
+    row = each[best]
+    q = whole(robot, arms[best].name, row.q) if row else np.full(robot.num_joints, np.nan)
+    return dataclasses.replace(row, robot=robot, q=q, arm=arms[best].name, each=each, reason=Reason(int(row.reason)))
 
 
 def _best(found: ScanResult, options: HarvestOptions) -> HarvestResult:

@@ -8,8 +8,9 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from jaxik.checks.options import check_choices, check_kind, shown
+from jaxik.checks.options import check_choices, check_finite, check_kind, shown
 from jaxik.collision.scene import Scene
+from jaxik.harvesting.arms import Arm, arms_of
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
@@ -30,7 +31,7 @@ class HarvestPlanOptions(Options, who="plan_harvest"):
     home: Any = anything(
         default=None,
         unit="rad, m",
-        words="where the arm begins and ends (n,); None is 0 of each joint, or mid-range",
+        words="where the robot begins and ends (n,); None is 0 of each joint, or mid-range",
     )
     place: Any = anything(
         default=None,
@@ -51,7 +52,7 @@ class HarvestPlanOptions(Options, who="plan_harvest"):
         default=0.1, unit="m", above=0.0, words="length of the straight lines to a fruit and back; half or a quarter may do"
     )
     candidates: int = count(default=16, words="postures a fruit that the order may choose from; of 1 it is the best")
-    margin: float = number(default=0.0, unit="m", words="least clearance on the way")
+    margin: float = number(default=0.0, unit="m", words="least clearance on the way, of two arms to each other, too")
     velocity: Any = anything(default=None, words="as in `PlanOptions`, for each way")
     acceleration: Any = anything(default=None, words="as in `PlanOptions`, for each way")
     rounds: int = count(default=20_000, words="as in `PlanOptions`, for each way")
@@ -75,6 +76,7 @@ class Stage(NamedTuple):
     start: float
     trajectory: Trajectory
     leaves: tuple[str, ...] = ()
+    arm: str = ""
 
     @property
     def end(self) -> float:
@@ -88,19 +90,20 @@ class Stage(NamedTuple):
 
 
 class HarvestMotion(Motion):
-    """Samples of all stages, one after another: q, velocity, acceleration (i, n), time (i,), and the number of each one's
-    `stage` (i,)."""
+    """Samples of a whole plan: q, velocity, acceleration (i, n), time (i,), and the number of each one's `stage` (i,); of two
+    arms the stage that each is at, or was at last, (i, 2)."""
 
     stage: Any = None
 
 
 class HarvestPlan(Result):
-    """One row a fruit, in the scene's order, and all stages one after another, the way home at last; of some of its rows those
-    of their fruits. It prints as a line a fruit.
+    """One row a fruit, in the scene's order, and all stages as they begin, the way home at last; of some of its rows those of
+    their fruits. It prints as a line a fruit.
 
-    fruit: its name. q (b, n) [rad, m]: the posture that grasps it; NaN of a fruit that is not picked. where (then):
-    "posture", "approach", "retreat", "transfer", "transport" or "place" fails, for the reason; and blockers: what is in the
-    way. seconds: how long it took to plan.
+    fruit: its name. arm: the tip of the arm that picks it, of a robot with two; "" of one arm. q (b, n) [rad, m]: the posture
+    that grasps it; NaN of a fruit that is not picked. where (then): "posture", "approach", "retreat", "transfer", "transport"
+    or "meeting" (with the other arm) fails, for the reason; and blockers: what is in the way. home (n,) [rad, m]: where the
+    robot begins. seconds: how long it took to plan.
     """
 
     ROW = "fruit"
@@ -113,6 +116,8 @@ class HarvestPlan(Result):
     robot: Robot = static()
     scene: Scene = static()
     stages: tuple[Stage, ...] = static(default=())
+    arm: Any = by_row(default="")
+    home: Any = static(default=())
     seconds: float = static(default=np.nan)
 
     def __getitem__(self, rows: Any) -> HarvestPlan:
@@ -122,14 +127,19 @@ class HarvestPlan(Result):
         return picked._replaced({"stages": tuple(stage for stage in self.stages if stage.fruit in names)})
 
     @property
+    def arms(self) -> tuple[Arm, ...]:
+        """The arms of the robot."""
+        return arms_of(self.robot, "HarvestPlan")
+
+    @property
     def order(self) -> tuple[str, ...]:
         """The names of the fruits as they are picked."""
-        return tuple(dict.fromkeys(stage.fruit for stage in self.stages if stage.fruit))
+        return tuple(dict.fromkeys(stage.fruit for stage in self.stages if stage.kind == "retreat"))
 
     @property
     def duration(self) -> float:
         """How long the stages take, from the first to the last [s]: from home to home, or of one fruit."""
-        return self.stages[-1].end - self.stages[0].start if self.stages else 0.0
+        return max(stage.end for stage in self.stages) - self.stages[0].start if self.stages else 0.0
 
     @property
     def cycle(self) -> float:
@@ -148,12 +158,17 @@ class HarvestPlan(Result):
 
     def __repr__(self) -> str:
         number = {name: i for i, name in enumerate(self.order, 1)}
-        fate = lambda row: f"{number[row.fruit]}. in {row.duration:.2f} s" if row.stages else row.why
+        by = lambda row: f", by {row.arm}" if row.arm else ""
+        fate = lambda row: f"{number[row.fruit]}. in {row.duration:.2f} s{by(row)}" if row.stages else row.why
         lines = [f"  {row.fruit}: {fate(row)}" for row in self]
         return "\n".join([f"Harvest of {self.scene.name} by {self.robot.name} in {self.duration:.1f} s", *lines])
 
     def sample(self, dt: float = 0.01) -> HarvestMotion:
-        """One sample each `dt` [s], each stage from its beginning on (`Trajectory.sample`). Host."""
+        """One sample each `dt` [s]: of one arm each stage from its beginning on (`Trajectory.sample`), of two all joints at the
+        same moments, exactly as they are timed. Host."""
+        return self._together(dt) if len(self.arms) > 1 else self._one_by_one(dt)
+
+    def _one_by_one(self, dt: float) -> HarvestMotion:
         parts, start = [], 0.0
         for index, stage in enumerate(self.stages):
             moved = stage.trajectory.sample(dt)
@@ -165,9 +180,32 @@ class HarvestPlan(Result):
         q, velocity, acceleration, time, numbers = (np.concatenate(list(each)) for each in columns)
         return HarvestMotion(q, velocity, acceleration, time, stage=numbers.astype(int))
 
-    def gone(self, number: int) -> tuple[str, ...]:
-        """The fruits that no longer hang during a stage; the last is in the gripper if the stage carries it."""
-        stages = self.stages[: number + 1]
+    def _together(self, dt: float) -> HarvestMotion:
+        check_finite("sample", dt=dt)
+        if not dt > 0.0:
+            raise ValueError(f"sample: dt is {dt:g}; it is above zero [s]")
+        begin = self.stages[0].start if self.stages else 0.0
+        time = dt * np.arange(int(np.ceil(self.duration / dt - 1e-9)) + 1 if self.stages else 0)
+        q = np.tile(np.array(self.home, np.float64), (len(time), 1))
+        velocity, acceleration, numbers = np.zeros_like(q), np.zeros_like(q), np.zeros((len(time), len(self.arms)), int)
+        for column, arm in enumerate(self.arms):
+            own = [i for i, stage in enumerate(self.stages) if stage.arm == arm.name]
+            if not own or not len(time):
+                continue
+            first = np.array([self.stages[i].start for i in own]) - begin
+            at = np.maximum(np.searchsorted(first, time + 1e-12, side="right") - 1, 0)
+            numbers[:, column] = np.array(own)[at]
+            for k, i in enumerate(own):
+                rows = np.flatnonzero(at == k)
+                state = self.stages[i].trajectory.at_times(time[rows] - first[k]).state
+                for whole, part in zip((q, velocity, acceleration), state, strict=True):
+                    whole[np.ix_(rows, np.array(arm.joints))] = part
+        return HarvestMotion(q, velocity, acceleration, time, stage=numbers)
+
+    def gone(self, number: int, arm: str | None = None) -> tuple[str, ...]:
+        """The fruits that no longer hang at the end of a stage, or those of them that an `arm` has picked; the last is in the
+        gripper if the stage carries it."""
+        stages = [stage for stage in self.stages[: number + 1] if arm in (None, stage.arm)]
         return tuple(dict.fromkeys(stage.fruit for stage in stages if stage.kind == "retreat"))
 
 
@@ -176,22 +214,29 @@ def save_harvest(plan: HarvestPlan, path: str | Path, *, dt: float = 0.01) -> Pa
 
     A `.csv` has time, fruit and stage, and a column a quantity and joint; an `.npz` time (i,), fruit, stage, q, velocity and
     acceleration (i, n), joint_names; a `.json` is a list of stages with the fields of ROS' `trajectory_msgs/JointTrajectory`,
-    each from its own beginning.
+    each from its own beginning. With two arms fruit and stage are columns of each, fruit_<tip> and stage_<tip>, and a stage of
+    the list has its arm, when it starts [s], and the points of that arm's joints.
 
     Raises `ValueError` for another ending and unless `dt` is a positive number.
     """
     check_kind("save_harvest", "plan", plan, HarvestPlan)
     path, names = check_ending("save_harvest", path), list(plan.robot.joint_names)
     if path.suffix.lower() == ".json":
-        stages = [
-            {"fruit": s.fruit, "stage": s.kind, "joint_names": names, "points": joint_points(s.trajectory.sample(dt))}
-            for s in plan.stages
-        ]
-        path.write_text(json.dumps(stages))
+        path.write_text(json.dumps([_message(plan, stage, dt) for stage in plan.stages]))
         return path
-    motion = plan.sample(dt)
-    of_stage = lambda name: np.array([getattr(stage, name) for stage in plan.stages])[motion.stage]
-    words = {"fruit": of_stage("fruit"), "stage": of_stage("kind")}
+    motion, words = plan.sample(dt), dict[str, np.ndarray]()
+    for arm, numbers in zip(plan.arms, np.atleast_2d(motion.stage.T), strict=True):
+        of_stage = lambda name, rows=numbers: np.array([getattr(stage, name) for stage in plan.stages])[rows]
+        after = f"_{arm.name}" if arm.name else ""
+        words |= {f"fruit{after}": of_stage("fruit"), f"stage{after}": of_stage("kind")}
     write = save_arrays if path.suffix.lower() == ".npz" else save_table
     write(path, motion, names, words)
     return path
+
+
+def _message(plan: HarvestPlan, stage: Stage, dt: float) -> dict[str, Any]:
+    """A stage as a message."""
+    arm = next(arm for arm in plan.arms if arm.name == stage.arm)
+    when = {"arm": arm.name, "start": stage.start} if arm.name else {}
+    names, points = list(arm.robot.joint_names), joint_points(stage.trajectory.sample(dt))
+    return {"fruit": stage.fruit, "stage": stage.kind, **when, "joint_names": names, "points": points}

@@ -167,10 +167,10 @@ def carrying(robot: Robot, scene: Scene, fruit: Mark, q: np.ndarray, grasp: Gras
     corners = np.concatenate([v.corners for v in first.volumes[len(robot.volumes) :]])
     across = np.cross(corners @ tip_T_joint[:3, :3].T + tip_T_joint[:3, 3], grasp.up)
     if len(first.boxes) == len(robot.boxes) and np.abs(across).max() < ROUND:
-        yield _as_operands(first, len(robot.volumes)), rows
+        yield as_operands(first, len(robot.volumes)), rows
     else:
         for row in rows:
-            yield _as_operands(_held(robot, scene, fruit, q[row]), len(robot.volumes)), rows[row : row + 1]
+            yield as_operands(_held(robot, scene, fruit, q[row]), len(robot.volumes)), rows[row : row + 1]
 
 
 def _held(robot: Robot, scene: Scene, fruit: Mark, q: np.ndarray) -> Robot:
@@ -178,7 +178,8 @@ def _held(robot: Robot, scene: Scene, fruit: Mark, q: np.ndarray) -> Robot:
     return dataclasses.replace(held, link_names=(*robot.link_names, HELD))  # one name, one kernel
 
 
-def _as_operands(held: Robot, first: int) -> Robot:
+def as_operands(held: Robot, first: int) -> Robot:
+    """The robot with its volumes from the `first` on as JAX arrays, so that one kernel serves all that it holds."""
     operand = lambda v: dataclasses.replace(v, corners=jnp.asarray(v.corners), radius=jnp.asarray(v.radius))
     return dataclasses.replace(held, volumes=(*held.volumes[:first], *map(operand, held.volumes[first:])))
 

@@ -7,6 +7,7 @@ are any numbers; what is infinite is avoided while there is another way. It know
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,7 +27,7 @@ def shortest_tour(costs: np.ndarray, groups: Sequence[np.ndarray], seed: int = 0
     """
     costs = np.minimum(costs, AVOIDED)
     if len(groups) <= EXACT:
-        return _by_subsets(costs, groups)
+        return Subsets.of(costs, groups).tour(2 ** len(groups) - 1)
     number = {int(node): i for i, nodes in enumerate(groups) for node in nodes}
     return best_members(costs, [groups[number[node]] for node in _by_search(costs, groups, seed)])
 
@@ -45,26 +46,46 @@ def best_members(costs: np.ndarray, groups: Sequence[np.ndarray]) -> list[int]:
     return tour[-2:0:-1]
 
 
-def _by_subsets(costs: np.ndarray, groups: Sequence[np.ndarray]) -> list[int]:
-    """Finds the tour by dynamic programming: the least way to each node through a set of groups, for ever larger sets."""
-    count = len(groups)
-    total, before = np.full((2**count, len(costs)), np.inf), np.zeros((2**count, len(costs)), int)
-    total[0, 0] = 0.0
-    for visited in range(2**count):
-        at = np.flatnonzero(np.isfinite(total[visited]))
-        for i, nodes in enumerate(groups):
-            if not visited >> i & 1:
-                ways = total[visited, at, None] + costs[np.ix_(at, nodes)]
-                best, more = np.argmin(ways, axis=0), visited | 1 << i
-                least = ways[best, np.arange(len(nodes))]
-                closer = least < total[more, nodes]
-                total[more, nodes[closer]], before[more, nodes[closer]] = least[closer], at[best[closer]]
-    tour, visited = [int(np.argmin(total[-1] + costs[:, 0]))], 2**count - 1
-    while tour[-1]:
-        here = tour[-1]
-        tour.append(int(before[visited, here]))
-        visited &= ~(1 << next(i for i, nodes in enumerate(groups) if here in nodes))
-    return tour[-2::-1]
+class Subsets(NamedTuple):
+    """The least costs `total` (2^g, m) of ways that begin at node 0, visit the groups whose bits are set and end at a node,
+    with the node `before` that (2^g, m); and of the tours (2^g,) back to node 0, with the node that each comes `back` from."""
+
+    groups: Sequence[np.ndarray]
+    total: np.ndarray
+    before: np.ndarray
+    tours: np.ndarray
+    back: np.ndarray
+
+    @staticmethod
+    def of(costs: np.ndarray, groups: Sequence[np.ndarray], needs: Sequence[int] = ()) -> Subsets:
+        """Finds them by dynamic programming, for ever larger sets [Held and Karp 1962]. A group comes after those that it
+        `needs`, a bit each, if both are visited at all."""
+        costs, count = np.minimum(costs, AVOIDED), len(groups)
+        total, before = np.full((2**count, len(costs)), np.inf), np.zeros((2**count, len(costs)), int)
+        total[0, 0] = 0.0
+        too_late = [sum(1 << k for k, need in enumerate(needs) if need >> i & 1) for i in range(count)]
+        for visited in range(2**count):
+            at = np.flatnonzero(np.isfinite(total[visited]))
+            for i, nodes in enumerate(groups) if len(at) else ():
+                if not (visited >> i & 1 or visited & too_late[i]):
+                    ways = total[visited, at, None] + costs[np.ix_(at, nodes)]
+                    best, more = np.argmin(ways, axis=0), visited | 1 << i
+                    least = ways[best, np.arange(len(nodes))]
+                    closer = least < total[more, nodes]
+                    total[more, nodes[closer]], before[more, nodes[closer]] = least[closer], at[best[closer]]
+        home = costs[:, 0].copy()
+        home[0] = 0.0  # no tour
+        whole = total + home
+        return Subsets(groups, total, before, whole.min(axis=1), whole.argmin(axis=1))
+
+    def tour(self, visited: int) -> list[int]:
+        """The nodes of a shortest tour through a set of groups, after the first one."""
+        tour = [int(self.back[visited])]
+        while tour[-1]:
+            here = tour[-1]
+            tour.append(int(self.before[visited, here]))
+            visited &= ~(1 << next(i for i, nodes in enumerate(self.groups) if here in nodes))
+        return tour[-2::-1]
 
 
 def _by_search(costs: np.ndarray, groups: Sequence[np.ndarray], seed: int) -> list[int]:

@@ -154,7 +154,7 @@ class Legs:
                 for k in each:
                     searches.begin(k)
                 continue
-            found.ways[i] = way + self.turns[i]
+            found.ways[i] = np.clip(way + self.turns[i], self.space.lower, self.space.upper)  # float32 rounds beyond them
             found.ways[i][0], found.ways[i][-1] = self.starts[i], self.goals[i]  # to the last bit
             clock.ended += 1
 

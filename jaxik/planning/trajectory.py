@@ -139,7 +139,7 @@ class Trajectory(Result):
         check_finite("sample", dt=dt)
         if not dt > 0.0:
             raise ValueError(f"sample: dt is {dt:g}; it is above zero [s]")
-        whole = jax.tree_util.tree_map(lambda x: np.asarray(x, np.float64), self)
+        whole = self._in_numpy()
         if not np.isfinite(whole.duration):
             raise ValueError(f"sample: the trajectory lasts {whole.duration} s; {_ENDLESS[Reason(int(whole.reason))]}")
         if dt > max(SLOWEST, whole.duration) or whole.duration > MOST * dt:
@@ -149,6 +149,15 @@ class Trajectory(Result):
         time = dt * np.arange(steps + 1)
         q, velocity, acceleration = _state(np, whole, np.minimum(time / slower, whole.duration))
         return Motion(q, velocity / slower, acceleration / slower**2, time, joint_names=self.joint_names)
+
+    def at_times(self, t: Any) -> Motion:
+        """The same as `at`, of one motion at times (i,) [s], in float64. Host."""
+        _check_one("Trajectory.at_times", self.time)
+        t = numbers("at_times: t", t)
+        return Motion(*_state(np, self._in_numpy(), t), t, joint_names=self.joint_names)
+
+    def _in_numpy(self) -> Trajectory:
+        return jax.tree_util.tree_map(lambda x: np.asarray(x, np.float64), self)
 
 
 def _check_one(who: str, array: Any) -> None:

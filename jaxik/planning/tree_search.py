@@ -37,10 +37,10 @@ SMALLER = 4.0  # times, each scale of the samples about a node than the one befo
 
 class Look(NamedTuple):
     """How closely a search looks: samples every `step` [m] that keep a `cushion` [m], until so large a `share` of all rounds,
-    and targets about nodes on so many `scales`. Of an edge that hits, the part before becomes a node if a `few` of its samples
-    are free: in a wide place shorter ones spread no tree, and make the way long. A tree that does not become more than `growth`
-    times as large in `patience` rounds counts as walled in: a large one grows slowly, which is a reason to look closer, hardly
-    one to give up."""
+    and targets about nodes on so many `scales`. The free part of an edge that hits becomes a node if it has a `few` samples: in
+    a wide place shorter ones spread no tree, and make the way long. A tree that does not become more than `growth` times as
+    large in `patience` rounds counts as walled in: a large one grows slowly, which is a reason to look closer, hardly one to
+    give up."""
 
     step: float
     cushion: float

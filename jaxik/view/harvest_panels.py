@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxik.harvesting.arms import whole
 from jaxik.harvesting.driver import HarvestResult
 from jaxik.harvesting.harvest_plan import HarvestPlan
 from jaxik.spatial.rotations import to_wxyz
@@ -36,7 +37,7 @@ class FruitList:
         more = " of all but the fruit itself." if row.success else "." if q is None else ". Shown is what that would open."
         self.said.content = marked(row.success, row.fruit, f": {words} {fate(row)}{more}")
         if q is not None:
-            self.page.move(q)
+            self.page.move(whole(row.robot, row.arm, q))
 
 
 PERIOD = 0.02  # [s] between the postures that are known
@@ -49,7 +50,11 @@ class Player:
 
     def __init__(self, page: Stage, plan: HarvestPlan):
         self.page, self.plan, self.samples = page, plan, plan.sample(PERIOD)
-        self.tips = np.array([frames(plan.robot, q)[-1] for q in self.samples.q])
+        self.numbers = self.samples.stage.reshape(len(self.samples.q), -1)  # a column an arm
+        self.column = {arm.name: k for k, arm in enumerate(plan.arms)}
+        own = [(arm.robot, self.samples.q[:, list(arm.joints)]) for arm in plan.arms]
+        self.tips = [np.array([frames(robot, q)[-1] for q in moved]) for robot, moved in own]
+        self.arm = {s.fruit: self.column[s.arm] for s in plan.stages}
         self.grasped = {s.fruit: self._last(i) for i, s in enumerate(plan.stages) if s.kind == "approach"}
         self.let_go = {s.fruit: self._last(i) for i, s in enumerate(plan.stages) if s.carries}
         self.stays = any(s.kind == "transport" for s in plan.stages)  # where it is let go; else it falls into a hose, or a tray
@@ -65,12 +70,12 @@ class Player:
         self.time.on_update(self._dragged)
         self.button.on_click(lambda _: self.pause() if self.playing.is_set() else self.play())
         if picked:
-            pairs = np.stack([self.tips[:-1, :3, 3], self.tips[1:, :3, 3]], axis=1)
+            pairs = np.concatenate([np.stack([tips[:-1, :3, 3], tips[1:, :3, 3]], axis=1) for tips in self.tips])
             page.server.scene.add_line_segments("/scene/path", pairs, rgb(PATH), thickness=2, thickness_units="screen")
 
     def _last(self, stage: int) -> int:
         """The number of a stage's last sample."""
-        return int(np.flatnonzero(self.samples.stage == stage)[-1])
+        return int(np.flatnonzero(self.numbers[:, self.column[self.plan.stages[stage].arm]] == stage)[-1])
 
     def _dragged(self, event: Any) -> None:
         if event.client is not None:  # a person, not `_run`
@@ -109,15 +114,20 @@ class Player:
         if not len(self.samples.time):
             return
         i = min(int(np.searchsorted(self.samples.time, t)), len(self.samples.time) - 1)
-        number = int(self.samples.stage[i])
-        stage, gone = self.plan.stages[number], self.plan.gone(number)
+        numbers = self.numbers[i].tolist()
+        stages = [self.plan.stages[number] for number in numbers]
+        gone = tuple(
+            fruit for stage, number in zip(stages, numbers, strict=True) for fruit in self.plan.gone(number, stage.arm)
+        )
         for name, fruit in self.fruits.items():
+            stage, tips = stages[self.arm[name]], self.tips[self.arm[name]]
             held = stage.carries and stage.fruit == name
             fruit.visible = name not in gone or held or self.stays
             where = i if held else self.let_go[name] if name in gone else self.grasped[name]
-            moved = self.tips[where] @ np.linalg.inv(self.tips[self.grasped[name]])
+            moved = tips[where] @ np.linalg.inv(tips[self.grasped[name]])
             fruit.wxyz, fruit.position = to_wxyz(moved[:3, :3]), moved[:3, 3]
-        self.page.scene = self.plan.scene.without([*gone, *([stage.fruit] if stage.kind == "approach" else [])])
+        reached = [stage.fruit for stage in stages if stage.kind == "approach"]
+        self.page.scene = self.plan.scene.without([*gone, *reached])
         self.page.move(np.asarray(self.samples.q[i]))
-        words = f"{stage.kind} of {stage.fruit}" if stage.fruit else "the way home"
+        words = ", ".join(f"{stage.kind} of {stage.fruit}" if stage.fruit else "the way home" for stage in stages)
         self.said.content = boxed(f"{len(gone)} picked; {words}")

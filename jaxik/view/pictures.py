@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxik.harvesting.arms import arm_named
 from jaxik.harvesting.driver import HarvestResult
 from jaxik.harvesting.harvest_plan import HarvestPlan
 from jaxik.kinematics.robot import Robot
@@ -91,7 +92,8 @@ def plot_harvest(result: HarvestResult, path: str | Path) -> None:
         mark, colour = ("✓", GOOD) if row.success else ("✗", BAD)
         above = low + scale * height + 0.06
         write(figure, left, above, mark, fontsize=11, weight="bold", color=colour)
-        write(figure, left + 0.17, above, f"{row.fruit}: {fate(row)}", fontsize=9)
+        by = f", by {row.arm}" if row.arm and row.success else ""
+        write(figure, left + 0.17, above, f"{row.fruit}: {fate(row)}{by}", fontsize=9)
     _write_harvest(figure, result, len(rows))
     figure.savefig(path, dpi=110, format="png")
 
@@ -113,22 +115,23 @@ def in_the_way(row: HarvestResult) -> tuple[str, ...]:
 
 
 def posture(row: HarvestResult) -> np.ndarray | None:
-    """The posture that picks a fruit, or would once what is in the way were gone."""
+    """The posture of the arm that picks a fruit, or would once what is in the way were gone."""
     if row.success:
-        return row.q
+        return np.asarray(row.q)[list(arm_named(row.robot, row.arm).joints)]
     return None if row.blockers is None or row.blockers.row is None else np.asarray(row.scan.table.q[row.blockers.row])
 
 
 def _crop(result: HarvestResult) -> _Crop:
-    robot, (points, owners), solids = result.robot, scene_points(result.scene), scene_solids(result.scene)
+    (points, owners), solids = scene_points(result.scene), scene_solids(result.scene)
     some = np.random.default_rng(0).permutation(len(points))[:DOTS]
     reasons, arms = {row.fruit: row.reason for row in result}, {}
     for row in result:
         if (q := posture(row)) is not None:
+            robot = row.scan.robot
             placed = frames(robot, q)
             arms[row.fruit] = placed, [s.moved(placed[robot.link_joint[link]]) for link, s in volume_solids(robot)]
     near = [s.span for s in solids if s.owner in reasons] + [s.span for _, arm in arms.values() for s in arm]
-    places = [f.position for f in result.scene.marks] + [np.asarray(robot.world_T_base)[:3, 3]]
+    places = [f.position for f in result.scene.marks] + [np.asarray(result.robot.world_T_base)[:3, 3]]
     held = np.concatenate([points, np.array(places), *near])
     box = np.array([held.min(axis=0) - 0.05, held.max(axis=0) + 0.05])  # stems and wires go on beyond
     return _Crop(solids, points[some], owners[some], reasons, arms, box)
@@ -191,7 +194,8 @@ def plot_harvest_plan(plan: HarvestPlan, path: str | Path) -> None:
     """Draws one picture (PNG) of the row from the robot and from above: how the tip moves, when each fruit is picked. Host."""
     from matplotlib.figure import Figure
 
-    tips = lambda stage: np.array([frames(plan.robot, q)[-1, :3, 3] for q in stage.trajectory.sample(PERIOD).q])
+    robots = {arm.name: arm.robot for arm in plan.arms}
+    tips = lambda stage: np.array([frames(robots[stage.arm], q)[-1, :3, 3] for q in stage.trajectory.sample(PERIOD).q])
     paths = [(tips(stage), stage.carries) for stage in plan.stages]
     fruits = {fruit.name: fruit.position for fruit in plan.scene.marks}
     hanging = [s.span for s in scene_solids(plan.scene) if s.owner in fruits]
@@ -220,8 +224,10 @@ def _draw_side(axis: Any, plan: HarvestPlan, paths: Paths, k: int) -> None:
     alpha = [0.45 if s.owner in rows else 1.0 for s in solids]
     draw_solids(axis, solids, 0, k, facecolor=colours, edgecolor="none", alpha=alpha, zorder=1)
     axis.scatter(*scene_points(plan.scene)[0][:, [0, k]].T, s=5, c=LEAF, lw=0, zorder=2)
-    for way, carries in paths:
-        axis.plot(*way[:, [0, k]].T, color=CARRIED if carries else PATH, lw=2.4 if carries else 1.3, zorder=4 if carries else 3)
+    lines = line_of_arm(plan)
+    for stage, (way, carries) in zip(plan.stages, paths, strict=True):
+        looks = {"color": CARRIED if carries else PATH, "lw": 2.4 if carries else 1.3, "ls": lines[stage.arm]}
+        axis.plot(*way[:, [0, k]].T, zorder=4 if carries else 3, **looks)
     for stage, (way, _) in zip(plan.stages, paths, strict=True):
         if stage.kind in PLACES:
             axis.plot(*way[-1, [0, k]], PLACES[stage.kind], ms=9, color=INK, zorder=5)
@@ -230,6 +236,11 @@ def _draw_side(axis: Any, plan: HarvestPlan, paths: Paths, k: int) -> None:
         box = {"boxstyle": "circle,pad=0.25", "fc": "w", "ec": COLOURS[rows[fruit.name].reason], "lw": 1.6}
         looks = {"ha": "center", "va": "center", "fontsize": 10, "weight": "bold", "color": INK}
         axis.text(*fruit.position[[0, k]], words, bbox=box, zorder=6, **looks)
+
+
+def line_of_arm(plan: HarvestPlan) -> dict[str, Any]:
+    """The style of each arm's lines."""
+    return dict(zip((arm.name for arm in plan.arms), ("-", (0, (4, 1.2))), strict=False))
 
 
 def _write_plan(figure: Any, plan: HarvestPlan) -> None:
@@ -244,6 +255,7 @@ def _write_plan(figure: Any, plan: HarvestPlan) -> None:
     entries = [
         Line2D([], [], color=PATH, lw=1.3, label="the tip, empty"),
         Line2D([], [], color=CARRIED, lw=2.4, label="the tip, with a fruit"),
+        *(Line2D([], [], color=INK, ls=line, label=name) for name, line in line_of_arm(plan).items() if name),
         *(Patch(fc=COLOURS[r], alpha=0.45, label=f"fruit: {'picked' if r == Reason.SOLVED else WORDS[r]}") for r in there),
         *(marker(INK, PLACES[k], words) for k, words in marks.items() if k in kinds),
         marker(LEAF, "o", "leaves (points)", ms=4),

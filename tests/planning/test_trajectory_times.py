@@ -69,7 +69,7 @@ def test_no_slower_than_the_planner(arm):
 
 
 def test_no_slower_than_the_planner_within_torque(arm_urdf, tmp_path):
-    """Its motion may be taken, in the least time that the drives allow; Pinocchio says what they give."""
+    """The plan's motion may be taken, in the least time that the drives allow; Pinocchio says what they give."""
     inertia = '<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/>'
     body = f'<inertial><origin xyz="0.15 0 0"/><mass value="2"/>{inertia}</inertial>'
     file = tmp_path / "heavy.urdf"
