@@ -21,9 +21,10 @@ def two_arm_plans_markdown(result: dict[str, Any]) -> str:
         {name: f"{row[key]:.0f} ms" for name, row in (("alone", alone), ("tray", tray))} for key in ("p50_ms", "p95_ms")
     )
     told = [
-        f"Asked is every {_th(result['every'])} problem of each of the first two sets, on a machine that others used. Of the {refused} whose goal is refused coal, too, finds "
-        f"{hit} in collision. With five seeds {seeds['solved']} of {seeds['asked']} are solved. A first call takes "
-        f"{first['compiling']['first_s']:.1f} s, {first['kernels_on_disk']['first_s']:.1f} s with its kernels on disk.",
+        f"Asked is every {_th(result['every'])} problem of each of the first two sets, on a machine that others used. Of the "
+        f"{refused} whose goal is refused coal, too, finds {hit} in collision. With five seeds {seeds['solved']} of "
+        f"{seeds['asked']} are solved. A first call takes {first['compiling']['first_s']:.1f} s, "
+        f"{first['kernels_on_disk']['first_s']:.1f} s with its kernels on disk.",
         f"The left arm alone (`moving=`): {alone['solved']} of {alone['asked']} in {p50['alone']} (p50), "
         f"{p95['alone']} (95 %); the right one stands to the last bit in {alone['stand']}.",
         f"A tray in both hands through a door (`keep=`): {tray['solved']} of {tray['asked']} in {p50['tray']} (p50), "
