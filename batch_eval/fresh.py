@@ -41,13 +41,13 @@ warm = float(np.median(times))
 print(json.dumps({"first_s": times[0], "slowest_later_s": max(times[1:]), "beyond_warm_s": sum(times) - warm * len(times)}))
 """
 MOTIONS = """
-import json, pathlib, sys, time
+import itertools, json, pathlib, sys, time
 sys.path.insert(0, sys.argv[3])
 import jaxik
 from setups import motionbenchmaker
-folder, tip = pathlib.Path(sys.argv[1]), sys.argv[2] or None
+folder, (tip, most) = pathlib.Path(sys.argv[1]), json.loads(sys.argv[2])
 robot, times = motionbenchmaker.load_robot(folder, tip), []
-for goal in motionbenchmaker.goals(folder, robot):
+for goal in itertools.islice(motionbenchmaker.goals(folder, robot), most):
     start = time.perf_counter()
     jaxik.plan_motion(robot, goal.start, goal.q, scene=goal.scene)
     times.append(time.perf_counter() - start)
@@ -135,11 +135,11 @@ def first_goals(folder: Path, tip: str | None, poses: np.ndarray) -> dict[str, d
     return {name: found[name] for name in ("compiling", "kernels_on_disk")}
 
 
-def first_motions(folder: Path, tip: str | None) -> dict[str, dict[str, float]]:
-    """Seconds of a fresh process's first motion among MotionBenchMaker's problems, and of its slowest later one; compiling all,
-    and with the kernels on disk."""
+def first_motions(folder: Path, tip: str | list[str] | None, most: int | None = None) -> dict[str, dict[str, float]]:
+    """Seconds of a fresh process's first motion among MotionBenchMaker's problems, the first ones or all, and of its slowest
+    later one; compiling all, and with the kernels on disk."""
     with tempfile.TemporaryDirectory() as place:
-        command = "-c", MOTIONS, str(folder), tip or "", str(Path(__file__).parent)
+        command = "-c", MOTIONS, str(folder), json.dumps([tip, most]), str(Path(__file__).parent)
         found = [json.loads(_run(*command, cache=cache)[0]) for cache in (None, place, place)]
     return {"compiling": found[0], "kernels_on_disk": found[2]}
 

@@ -46,6 +46,7 @@ from tables.programs import programs_markdown
 from tables.teleoperation import teleoperation_markdown
 from tables.tips import tips_markdown
 from tables.trees import trees_markdown
+from tables.two_arm_plans import two_arm_plans_markdown
 from tables.two_arms import two_arms_markdown
 from tables.words import duration
 
@@ -88,6 +89,7 @@ TABLES = {
     "trajectory_benchmark.json": trajectory_markdown,
     "tree_benchmark.json": trees_markdown,
     "two_arm_harvest_benchmark.json": two_arms_markdown,
+    "two_arm_planning_benchmark.json": two_arm_plans_markdown,
     "two_arms_benchmark.json": tips_markdown,
 }
 

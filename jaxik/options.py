@@ -116,6 +116,30 @@ def per_joint(*, default: Any = None, words: str, unit: str = "", lone: bool = T
     return _declared(default, unit, words, lambda who, name, value: positive(f"{who}: {name}{told}", value, lone))
 
 
+def pair(*, default: Any = REQUIRED, words: str, unit: str = "") -> Any:
+    """Two positive numbers, kept as a tuple; one number is both."""
+
+    def kept(who: str, name: str, value: Any) -> tuple[float, float]:
+        both = (value, value) if is_finite_number(value) else value
+        if not isinstance(both, list | tuple) or len(both) != 2 or not all(is_finite_number(x) and x > 0.0 for x in both):
+            raise ValueError(f"{who}: {name} is {shown(value)}; write two positive numbers [{unit}], or one for both")
+        return float(both[0]), float(both[1])
+
+    return _declared(default, unit, words, kept)
+
+
+def names(*, default: Any = (), words: str) -> Any:
+    """Names, one or several of them, kept as a tuple."""
+
+    def kept(who: str, name: str, value: Any) -> tuple[str, ...]:
+        several = (value,) if isinstance(value, str) else value
+        if not isinstance(several, list | tuple) or not all(isinstance(each, str) for each in several):
+            raise ValueError(f"{who}: {name} is {shown(value)}; write a name, or a list of names")
+        return tuple(several)
+
+    return _declared(default, "", words, kept)
+
+
 def instance(
     *, default: Any = REQUIRED, words: str, kind: type, optional: bool = False, several: bool = False, kw_only: bool = True
 ) -> Any:
@@ -137,7 +161,9 @@ def anything(*, default: Any = REQUIRED, words: str, unit: str = "") -> Any:
 
 
 @dataclass_transform(
-    frozen_default=True, kw_only_default=True, field_specifiers=(number, count, choice, flag, per_joint, instance, anything)
+    frozen_default=True,
+    kw_only_default=True,
+    field_specifiers=(number, count, choice, flag, per_joint, pair, names, instance, anything),
 )
 class Options:
     """A subclass is a frozen dataclass, made by keywords, each of whose fields is declared by one of this module's functions.

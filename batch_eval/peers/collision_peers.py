@@ -39,10 +39,10 @@ def frames(scene: jaxik.Scene) -> list[tuple[str, np.ndarray, tuple[float, ...]]
 
 
 def ignored(robot: jaxik.Robot, srdf: Path | None) -> list[tuple[str, str]]:
-    """The pairs of links that nobody holds against each other: those that an SRDF leaves out, and neighbours on the chain."""
+    """The pairs of links that nobody holds against each other: those that an SRDF leaves out, and neighbours on the tree."""
     found = [] if srdf is None else ET.parse(srdf).getroot().iter("disable_collisions")
     joint = dict(zip(robot.link_names, robot.link_joint, strict=True))
-    near = [(a, b) for a, b in itertools.combinations(joint, 2) if abs(joint[a] - joint[b]) <= 1]
+    near = [(a, b) for a, b in itertools.combinations(joint, 2) if robot.tree.distance(joint[a], joint[b]) <= 1]
     return [(str(pair.get("link1")), str(pair.get("link2"))) for pair in found] + near
 
 

@@ -43,8 +43,8 @@ class Goal(NamedTuple):
     elsewhere: tuple[str, ...] = ()
 
 
-def load_robot(folder: Path, tip: str | None = None) -> jaxik.Robot:
-    """The folder's robot with its collision geometry, up to the link `tip`."""
+def load_robot(folder: Path, tip: str | list[str] | None = None) -> jaxik.Robot:
+    """The folder's robot with its collision geometry, up to the link `tip`, or the tree of several."""
     urdf, srdf = files(folder)
     read = not urdf.stem.endswith("_spherized")
     load = lambda **how: jaxik.load(urdf, tip=tip or end_effector(srdf), srdf=srdf, **how)
@@ -80,13 +80,13 @@ def end_effector(srdf: Path | None) -> str | None:
     return found[0] if found else None
 
 
-def goals(folder: Path, robot: jaxik.Robot) -> Iterator[Goal]:
-    """All goals, by name; a start or goal that the robot's shapes make collide is kept."""
+def goals(folder: Path, robot: jaxik.Robot, every: int = 1) -> Iterator[Goal]:
+    """All goals, by name, or those of each so many-th problem; a start or goal that the robot's shapes make collide is kept."""
     texts = _texts(folder)
     if not (requests := _requests(texts)):
         raise ValueError(f"{folder}: no requestNNNN.yaml, neither below it nor in a *.tar.* there")
     first: dict[str, float] | None = None
-    for name in requests:
+    for name in requests[::every]:
         place = name.rpartition("request")
         scene = f"{place[0]}scene{place[2]}"
         if scene not in texts:

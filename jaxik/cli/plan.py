@@ -29,6 +29,7 @@ FLAGS = flags(
     improves=str,
     winding=float | None,
     escape=bool,
+    moving=tuple[str, ...],
 )
 
 

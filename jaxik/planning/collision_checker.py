@@ -34,6 +34,7 @@ class CollisionChecker:
 
     `weights` (n,) are the most that a joint's unit moves the robot [m], by which distances between configurations are measured.
     `lower` and `upper` (n,) are the robot's limits, and those of `winding` [rad] for joints without any, if it is told.
+    `moves` (n,) are the joints that ways move, all of them where it is None.
     `checked` counts the configurations that were checked. Volumes of the robot that are JAX arrays are operands of its kernels:
     one serves all that an arm carries, if it has as many volumes."""
 
@@ -44,6 +45,7 @@ class CollisionChecker:
         margin: float,
         cushion: float = 0.0,
         winding: float | None = None,
+        moves: np.ndarray | None = None,
     ):
         self.world = World(robot, scene)
         self.volumes = World(by_volumes(robot), scene) if robot.surfaces else None
@@ -51,6 +53,7 @@ class CollisionChecker:
         self.margin, self.cushion = np.float32(margin), np.float32(cushion)
         self.endless = endless(robot)
         self.lower, self.upper = wound(robot, winding)
+        self.moves = moves
         self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, robot) if self.world.body.carried else robot)
         self.checked = 0
 
@@ -72,13 +75,16 @@ class CollisionChecker:
         asked[:, :-1], asked[:, -1] = q - whole_turns(self.endless, q), self.margin + np.asarray(cushion, np.float32)
         return self._first_by_volumes(among, asked, lambda world, rows, at: world.each(_hits, rows, at))
 
-    def free_part(self, start: np.ndarray, end: np.ndarray, step: float, among: np.ndarray | None = None) -> np.ndarray:
-        """The part (b,) of each straight motion before its first sample that hits, with samples every `step` [m]; 1 is all."""
+    def free_part(
+        self, start: np.ndarray, end: np.ndarray, step: float, among: np.ndarray | None = None, cushion: Any = None
+    ) -> np.ndarray:
+        """The part (b,) of each straight motion before its first sample that hits, with samples every `step` [m] that keep a
+        `cushion` (b,), the checker's own if it is not told [m]; 1 is all."""
         counts = np.maximum(1, np.ceil(self.length(end - start) / step)).astype(int)
         row = np.repeat(np.arange(len(start)), counts)
         number = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts) + 1
         q = start[row] + (number / counts[row])[:, None] * (end - start)[row]
-        hit = np.flatnonzero(self.hits(q, self.cushion, _of(among, row)))
+        hit = np.flatnonzero(self.hits(q, self.cushion if cushion is None else cushion[row], _of(among, row)))
         part = np.ones(len(start))
         rows, first = np.unique(row[hit], return_index=True)
         part[rows] = (number[hit[first]] - 1) / counts[rows]

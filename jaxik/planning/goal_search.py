@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from jaxik.planning.collision_checker import CollisionChecker
+from jaxik.planning.limb_ways import limb_ways
 from jaxik.planning.limits import AnyLimits
 from jaxik.planning.motion_ends import other_ways
-from jaxik.planning.ways import Found, proven_ways
+from jaxik.planning.ways import Found
 
 LEAST = 4096  # rounds of all that are compared, at least
 NEAREST = 0.25  # of all rounds, in which goals are sought on their nearest turn alone, where there are others
@@ -43,13 +44,13 @@ def searched(
     some = zip(starts, goals, strict=True)
     others = [other_ways(space.robot, start, each, space.lower, space.upper) for start, each in some]
     most = np.where([len(each) > 0 for each in others], np.ceil(NEAREST * rounds), rounds).astype(int)
-    found = proven_ways(space, starts, goals, seed, most, _each(until, len(starts)), told, among)
+    found = limb_ways(space, starts, goals, seed, most, _each(until, len(starts)), told, among)
     rows = [i for i, way in enumerate(found.ways) if way is None and len(others[i])]
     if rows:
         tell = lambda taken, ended: told(int(found.rounds[0]) + taken, len(starts) - len(rows) + ended)
         every = [np.concatenate([goals[i], others[i]]) for i in rows]
         left = rounds[rows] - found.rounds[rows]
-        _take(found, rows, proven_ways(space, starts[rows], every, seed, left, _each(until, len(rows)), tell, among[rows]))
+        _take(found, rows, limb_ways(space, starts[rows], every, seed, left, _each(until, len(rows)), tell, among[rows]))
     if compared and any(len(each) + len(more) > 1 for each, more in zip(goals, others, strict=True)):
         _compare(space, found, starts, goals, others, seed, until, limits, among)
     return found
@@ -94,7 +95,7 @@ def _compare(
             break
         tried = [left[i].pop(0)[None] for i in rows]
         most = np.minimum(rounds, budget)[rows]
-        again = proven_ways(space, starts[rows], tried, seed, most, _each(until, len(rows)), among=among[rows])
+        again = limb_ways(space, starts[rows], tried, seed, most, _each(until, len(rows)), among=among[rows])
         found.rounds[rows] += again.rounds
         budget[rows] -= again.rounds
         found.checked[rows] += again.checked

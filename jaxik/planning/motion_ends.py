@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -133,12 +133,13 @@ def postures(
     task: Task,
     margin: float,
     bounds: tuple[np.ndarray, np.ndarray] | None = None,
+    locked: Mapping[str, float] | None = None,
 ) -> Answers:
     """Finds up to `count` postures of each of the `poses` (b, 4, 4), or the reasons why there are none.
 
     No two are the same posture turned: each joint is on the turn nearest to the start (b, n), inside the robot's limits or
-    tighter `bounds`. The soonest reached by a straight motion within the `limits` stands first; where the start has the pose
-    already it is the only one.
+    tighter `bounds`; some may be `locked`, by their names. The soonest reached by a straight motion within the `limits` stands
+    first; where the start has the pose already it is the only one.
     """
     lower, upper = bounds or (robot.lower, robot.upper)
     turnable = ~np.array(robot.is_prismatic) & (robot.upper - robot.lower > TURN) & np.isfinite(robot.upper - robot.lower)
@@ -150,6 +151,7 @@ def postures(
         norm="linf",
         reference=np.nan_to_num(starts),  # NaN is told of later
         weights=1.0 / np.minimum(limits.velocity, limits.acceleration),
+        locked=locked or {},
     )
     found = solve_ik(robot, poses, scene=scene, seed=seed, options=asked)
     nearest = nearest_turns(robot, found.solutions, starts[:, None], lower, upper)

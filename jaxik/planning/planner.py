@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 import time
 from collections.abc import Callable, Collection, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -15,80 +15,26 @@ from jaxik.checks.options import check_kind, check_seed
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
-from jaxik.kinematics.task import POSE, Task
-from jaxik.options import Options, choice, count, flag, instance, number, per_joint
 from jaxik.planning.cells import JOINTS, separated
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.escape import escaped, led_out
 from jaxik.planning.goal_search import searched
 from jaxik.planning.improvement import improved
 from jaxik.planning.jerk_timing import smooth_laws
+from jaxik.planning.kept_ways import kept_ways
 from jaxik.planning.limits import AnyLimits, Limits, limit_of, motion_limits
 from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, reached, turned
 from jaxik.planning.path_parts import Part
+from jaxik.planning.plan_options import PlanOptions
 from jaxik.planning.plan_result import Place, PlanResult
 from jaxik.planning.sooner import sooner
+from jaxik.planning.standing import check_standing, moving_joints, standing_postures, stood, tip_that_moves
 from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory, padded
 from jaxik.planning.ways import LOOKS, blended
 from jaxik.reasons import Reason
 
 EARLY = 15_000  # rounds after which it is asked of an arm of few joints whether there is a way, before they are sought anew
-
-
-class PlanOptions(Options, who="plan_motion"):
-    """The search and the timing of `plan_motion`."""
-
-    margin: float = number(default=0.0, unit="m", words="least clearance on the way")
-    velocity: Any = per_joint(
-        default=None, unit="rad/s, m/s", words="limits of velocity, one number or one a joint; None is the robot's"
-    )
-    acceleration: Any = per_joint(
-        default=None,
-        unit="rad/s2, m/s2",
-        words="limits of acceleration, one number or one a joint; None is four times the velocity a second",
-    )
-    jerk: Any = per_joint(
-        default=None, unit="rad/s3, m/s3", words="limits of jerk, one number or one a joint; None is no limit"
-    )
-    rounds: int = count(
-        default=100_000,
-        words="rounds of the search at most, sixteen samples each; after 30, 60 and 80 % of them it looks closer",
-    )
-    timeout: float | None = number(
-        default=None,
-        least=0.0,
-        optional=True,
-        unit="s",
-        words="limit of time for the search of each problem, of many on average; with None `seed` alone decides",
-    )
-    task: Task = instance(default=POSE, kind=Task, words="what a pose as the goal binds")
-    postures: int = count(
-        default=8, words="different postures of a pose among which the search may choose, the soonest ones first"
-    )
-    improve: float | None = number(
-        default=None,
-        least=0.0,
-        optional=True,
-        unit="s",
-        words="time to look for a better way, for each problem, of many on average; the clock says how far it comes",
-    )
-    improves: str = choice(
-        default="length",
-        kinds=Literal["length", "time"],
-        words='what `improve` makes less: the "length" of the way, in weighted joints, or the "time" of the motion',
-    )
-    winding: float | None = number(
-        default=None,
-        above=0.0,
-        optional=True,
-        unit="rad",
-        words="how far joints without limits may be from zero on the way, for what hangs on them; None is as far as they like",
-    )
-    escape: bool = flag(default=False, words="whether a start in collision or outside its limits is first led out of that")
-    places: int = count(
-        default=128, words="number of places at which the speed is chosen (`time_path`), twice as many within a jerk limit"
-    )
 
 
 def plan_motion(
@@ -117,11 +63,14 @@ def plan_motion(
     in, within `winding` of zero (`PlanResult.turns`); joints with limits meet a configuration as it is, a pose on any turn.
     With `escape` a start in collision, or outside the limits, is first led back inside, and out along the steepest clearance,
     as far as 2 mm more than the margin: on lines on which the clearance falls nowhere that it is below the margin, at samples
-    half a millimetre apart, not proven (`PlanResult.escaped`). The straight line is taken where it is
-    proven by `motion_clearance`'s bound. Else two trees find a way, and the shortest of the lines between its
-    points that are proven is taken; its corners are rounded as far as that is proven, too; `time_path` times it. `seed`
-    decides. `progress` is called with the motions that are done and their number; of a single one with rounds of the search.
-    `changes` are fields of `PlanOptions`.
+    half a millimetre apart, not proven (`PlanResult.escaped`). The straight line is taken where it is proven by
+    `motion_clearance`'s bound. Else two trees find a way, of a robot of several limbs for one limb after the other, if that
+    leads there, and the shortest of the lines between its points that are proven is taken; its corners are rounded as far as
+    that is proven, too; `time_path` times it. With `moving`, such as the one arm of two that is named by its tip, all other
+    joints stand. With `keep` two tips hold one thing: their relative pose stays that of the start within `keep_within` on the
+    whole way, a spline, which is proven as well; its `waypoints` are the spline's knots. `seed` decides. `progress` is called
+    with the motions that are done and their number; of a single one with rounds of the search. `changes` are fields of
+    `PlanOptions`.
 
     Reasons: SOLVED; INVALID, NaN in the start or the goal; LIMITS, COLLISION of the `start` or the `goal`, whichever is in
     `where`; OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED, no way found within the rounds and the timeout
@@ -129,7 +78,7 @@ def plan_motion(
     of arms of three joints at most, from a start that was not led out to goals that are configurations.
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Sources: Kuffner and LaValle, RRT-Connect, 2000;
-    Schwarzer et al. 2005; Pham and Pham 2018; Zhang, Kim, Manocha 2008.
+    Schwarzer et al. 2005; Pham and Pham 2018; Zhang, Kim, Manocha 2008; Berenson et al. 2009.
     """
     check_kind("plan_motion", "robot", robot, Robot)
     asked = ends("plan_motion", robot, start, goal, several_poses=True)
@@ -143,9 +92,22 @@ def plan_motion(
         mend = f"time its way anew by planning.time_path(moved.trajectory.path, robot=robot, {name}=...)"
         raise ValueError(f"plan_motion: {name} is no option; {mend}, or ask optimise_trajectory, which has {name}=")
     options = PlanOptions.chosen(options, changes)
+    if options.moving and options.escape:
+        raise ValueError("plan_motion: a way out of a collision moves all joints; leave out escape or moving")
+    if options.keep:
+        _check_keep(options, asked)
     check_geometry(robot)
     found = _planned(robot, scene, asked, seed, options, progress)
     return found[0] if asked.single else found
+
+
+def _check_keep(options: PlanOptions, asked: Ends) -> None:
+    """Raises `ValueError` for what does not go together with two tips that hold one thing."""
+    given = {name for name in ("escape", "moving", "improve", "jerk") if getattr(options, name)}
+    if given:
+        raise ValueError(f"plan_motion: keep does not go together with {' and '.join(sorted(given))}; leave one of them out")
+    if asked.poses is not None:
+        raise ValueError("plan_motion: keep needs goals that are configurations (n,); find them by solve_ik of both tips")
 
 
 def _planned(
@@ -160,13 +122,16 @@ def _planned(
     limits = motion_limits("plan_motion", robot, options.velocity, options.acceleration, (robot.num_joints,))
     jerk = None if options.jerk is None else limit_of("plan_motion", "jerk", options.jerk, (robot.num_joints,))
     pace = limits.within(jerk)
-    space = CollisionChecker(robot, scene, options.margin, winding=options.winding)
+    moves = moving_joints("plan_motion", robot, options.moving)
+    space = CollisionChecker(robot, scene, options.margin, winding=options.winding, moves=moves)
     space.prepare()
     among = np.arange(len(asked.starts)) if space.world.several else np.zeros(len(asked.starts), int)
     places = _places(robot, scene, space, options, len(asked.starts))
     starts, escapes = _begun(robot, space, places, asked.starts, among) if options.escape else (asked.starts, {})
     answers = _goals(robot, scene, space, starts, asked, seed, options, pace)
     goals, free, ended = admitted(robot, space, starts, answers, among)
+    if options.keep:
+        return _kept(robot, space, places, asked, goals, free, ended, seed, options, limits, progress, among)
     ways = _straight(space, starts, goals, free, pace, among)
     total = options.rounds if asked.single else len(starts)
     tell = progress or (lambda done, total: None)
@@ -175,6 +140,7 @@ def _planned(
     rounds, checked = _search(
         space, places, ways, starts, sought, ended, asked.poses is None, escapes, seed, options, pace, told, among
     )
+    stood(space, ways, starts)
     finish = Finish(space, limits, jerk, options.places, escapes, among)
     if options.improve:
         _improve(finish, ways, seed, options)
@@ -190,6 +156,43 @@ def _planned(
     lengths = np.array([np.nan if way is None else space.length(np.diff(way, axis=0)).sum() for way in ways])
     told_of = ended.reason, tuple(ended.where), tuple(ways), trajectories, lengths, bounds, rounds, checked
     return PlanResult(*told_of, *reach, lines, ended.stuck, places, least)
+
+
+def _kept(
+    robot: Robot,
+    space: CollisionChecker,
+    places: tuple[Place, ...],
+    asked: Ends,
+    goals: np.ndarray,
+    free: np.ndarray,
+    ended: Ended,
+    seed: int,
+    options: PlanOptions,
+    limits: Limits,
+    progress: Callable[[int, int], Any] | None,
+    among: np.ndarray,
+) -> PlanResult:
+    """Plans each of the problems with two tips that keep their relative pose: splines in the place of rounded lines."""
+    starts, count = asked.starts, len(asked.starts)
+    sought = [each[some] for each, some in zip(goals, free, strict=True)]
+    told = lambda taken, done: progress(*((taken, options.rounds) if asked.single else (done, count))) if progress else None
+    search = seed, options.rounds, options.timeout, among, told
+    found = kept_ways(space, options.keep, options.keep_within, starts, sought, *search)
+    moved = [i for i, path in enumerate(found.paths) if path is not None]
+    paths = [padded(path, 2 ** int(np.ceil(np.log2(len(path.lengths))))) for path in found.paths if path is not None]
+    motions = dict(zip(moved, timed(robot, paths, limits, None, options.places), strict=True))
+    for i, gap in enumerate(found.gaps):
+        if gap is not None:
+            ended.reason[i], ended.stuck[i] = int(Reason.NOT_CONVERGED), gap
+    bounds, least, lengths = np.full((3, count), np.nan)
+    for i, way in enumerate(found.ways):
+        if way is not None:
+            away = sought[i] - starts[i]
+            bounds[i], least[i] = space.length(away).min(), limits.least(away).min()
+            lengths[i] = space.length(np.diff(way, axis=0)).sum()
+    told_of = ended.reason, tuple(ended.where), tuple(found.ways), tuple(motions.get(i) for i in range(count)), lengths, bounds
+    reach = arrived(robot, found.ways, asked.goals, asked, options.postures)
+    return PlanResult(*told_of, found.rounds, found.rounds, *reach, np.zeros(count, int), ended.stuck, places, least)
 
 
 def _search(
@@ -313,8 +316,13 @@ def _goals(
     bounds = space.lower, space.upper
     if asked.poses is None:
         goals = turned(robot, starts, asked.goals, *bounds)
+        if space.moves is not None:
+            goals = check_standing("plan_motion", robot, space.moves, starts, goals)
         return Answers(np.zeros(len(starts), int), goals, np.full_like(starts, np.nan))
     bound = options.postures, limits, seed, options.task, options.margin, bounds
+    if space.moves is not None:
+        tip = tip_that_moves(robot, options.moving)
+        return standing_postures(tip, scene, space.moves, starts, asked.poses, *bound)
     return postures_of_each(robot, scene, starts, asked.poses, *bound)
 
 

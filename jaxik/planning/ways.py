@@ -101,7 +101,7 @@ def _proven_ways(
         for _ in range(TRIES):
             if not len(left) or clock.over:
                 break
-            _searched(searches, left, look, cushion, limit, clock)
+            search_on(searches, left, look, cushion, limit, clock)
             left = left[searches.found.joined[left]]  # the others look closer
             if not len(left):
                 break
@@ -137,6 +137,11 @@ class Clock:
         self.progress, self.searches, self.ended = progress, searches, 0
 
     @property
+    def left(self) -> float:
+        """The seconds that are left, none less than 0."""
+        return max(0.0, self.end - time.monotonic())
+
+    @property
     def over(self) -> bool:
         return time.monotonic() > self.end
 
@@ -161,7 +166,7 @@ def kept_of(kept: np.ndarray, cushion: float) -> np.ndarray:
     return np.max(PARTS * cushion * (PARTS * cushion <= kept[:, None]), axis=1)
 
 
-def _searched(searches: Searches, rows: np.ndarray, look: Look, cushion: np.ndarray, limit: np.ndarray, clock: Clock) -> None:
+def search_on(searches: Searches, rows: np.ndarray, look: Look, cushion: np.ndarray, limit: np.ndarray, clock: Clock) -> None:
     """Searches on in such rows until the trees of each meet, so many rounds are taken in all, the time is over, or a tree is
     walled in."""
     looked, before = searches.taken.copy(), searches.found.count.copy()
@@ -178,12 +183,14 @@ def _searched(searches: Searches, rows: np.ndarray, look: Look, cushion: np.ndar
 
 def search_range(space: CollisionChecker, start: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`finite_limits`; those of a joint that lacks one are moved as far towards the start (..., n) as its other one, and the
-    bounds of `space`, which is a `turn` (..., n) further, allow: how often it has turned before makes no difference."""
+    bounds of `space`, which is a `turn` (..., n) further, allow: how often it has turned before makes no difference. A
+    joint that does not move has the start's value twice."""
     lower, upper = space.robot.finite_limits
     robot = space.robot
     least, most = (np.where(np.isfinite(limit), 0.0, end) for limit, end in ((robot.lower, -np.inf), (robot.upper, np.inf)))
     moved = np.clip(start - 0.5 * (lower + upper), least, most)
-    return np.maximum(lower + moved, space.lower - turn), np.minimum(upper + moved, space.upper - turn)
+    low, high = np.maximum(lower + moved, space.lower - turn), np.minimum(upper + moved, space.upper - turn)
+    return (low, high) if space.moves is None else (np.where(space.moves, low, start), np.where(space.moves, high, start))
 
 
 def shortened(

@@ -67,7 +67,7 @@ def test_a_motion_of_two_arms_and_where_their_tips_are(tmp_path, monkeypatch, ca
 def test_commands_of_one_tip_say_so(tmp_path, monkeypatch, capsys):
     file = write(tmp_path, "two.urdf", TWO)
     line = "jaxik: --tip left_hand --tip right_hand: this command moves one tip; name --tip once"
-    for words in (("ik", file, "t.csv"), ("base", file, "t.csv", "--x", 0, 1, 2, "--y", 0, 1, 2), ("harvest", "--robot", file)):
+    for words in (("ik", file, "t.csv"), ("base", file, "t.csv", "--x", 0, 1, 2, "--y", 0, 1, 2)):
         assert refused(monkeypatch, capsys, *words, *TIPS) == line
     assert refused(monkeypatch, capsys, "view", file, *TIPS, "--teleop") == "jaxik: --teleop: steers one tip; name --tip once"
 

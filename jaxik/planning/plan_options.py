@@ -1,0 +1,76 @@
+"""The options of `plan_motion`."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from jaxik.kinematics.task import POSE, Task
+from jaxik.options import Options, choice, count, flag, instance, names, number, pair, per_joint
+
+
+class PlanOptions(Options, who="plan_motion"):
+    """The search and the timing of `plan_motion`."""
+
+    margin: float = number(default=0.0, unit="m", words="least clearance on the way")
+    velocity: Any = per_joint(
+        default=None, unit="rad/s, m/s", words="limits of velocity, one number or one a joint; None is the robot's"
+    )
+    acceleration: Any = per_joint(
+        default=None,
+        unit="rad/s2, m/s2",
+        words="limits of acceleration, one number or one a joint; None is four times the velocity a second",
+    )
+    jerk: Any = per_joint(
+        default=None, unit="rad/s3, m/s3", words="limits of jerk, one number or one a joint; None is no limit"
+    )
+    rounds: int = count(
+        default=100_000,
+        words="rounds of the search at most, sixteen samples each; after 30, 60 and 80 % of them it looks closer",
+    )
+    timeout: float | None = number(
+        default=None,
+        least=0.0,
+        optional=True,
+        unit="s",
+        words="limit of time for the search of each problem, of many on average; with None `seed` alone decides",
+    )
+    task: Task = instance(default=POSE, kind=Task, words="what a pose as the goal binds")
+    postures: int = count(
+        default=8, words="different postures of a pose among which the search may choose, the soonest ones first"
+    )
+    improve: float | None = number(
+        default=None,
+        least=0.0,
+        optional=True,
+        unit="s",
+        words="time to look for a better way, for each problem, of many on average; the clock says how far it comes",
+    )
+    improves: str = choice(
+        default="length",
+        kinds=Literal["length", "time"],
+        words='what `improve` makes less: the "length" of the way, in weighted joints, or the "time" of the motion',
+    )
+    winding: float | None = number(
+        default=None,
+        above=0.0,
+        optional=True,
+        unit="rad",
+        words="how far joints without limits may be from zero on the way, for what hangs on them; None is as far as they like",
+    )
+    escape: bool = flag(default=False, words="whether a start in collision or outside its limits is first led out of that")
+    moving: Any = names(
+        default=(),
+        words="tips, groups or joints, by name, whose joints are the only ones that move; all others stand as in the start, "
+        "and a pose is that of the only tip that is named",
+    )
+    keep: Any = names(
+        default=(),
+        words="two tips or links, by name, that hold one thing: on the whole way the second stays where the first one sees it "
+        "at the start, proven between samples",
+    )
+    keep_within: Any = pair(
+        default=(1e-4, 1e-4), unit="m, rad", words="how far off the kept pose may be in its place, and in its turn"
+    )
+    places: int = count(
+        default=128, words="number of places at which the speed is chosen (`time_path`), twice as many within a jerk limit"
+    )
