@@ -109,7 +109,9 @@ class HarvestArguments(HARVEST, MOTIONS, ShapedRobotArguments):
         count = len(arms_of(robot, "harvest"))
         if self.arms not in (None, count):
             mend = (
-                "give --tip LEFT --tip RIGHT, or --robot p6r" if count < MOST else f"leave it out, or give --tip {robot.tip_names[0]}"
+                "give --tip LEFT --tip RIGHT, or --robot p6r"
+                if count < MOST
+                else f"leave it out, or give --tip {robot.tip_names[0]}"
             )
             raise ValueError(f"--arms {self.arms}: {robot.name} has {count} {'arm' if count == 1 else 'arms'}; {mend}")
         return robot
