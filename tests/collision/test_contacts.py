@@ -109,7 +109,13 @@ def test_without_a_scene_and_bad_use(scene):
 def ended(scene, postures, reasons, margin=0.0):
     """A result of these postures."""
     columns = dict.fromkeys((f.name for f in dataclasses.fields(jaxik.ik.IKResult)), np.zeros(len(postures)))
-    given = {"q": postures, "solutions": postures[:, None], "reason": np.array(reasons), "solved_in": (ARM, scene, margin)}
+    given = {
+        "q": postures,
+        "solutions": postures[:, None],
+        "reason": np.array(reasons),
+        "solved_in": (ARM, scene, margin),
+        "tasks": (),
+    }
     return jaxik.ik.IKResult(**columns | given)
 
 

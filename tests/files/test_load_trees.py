@@ -355,7 +355,6 @@ def test_what_takes_arms_alone_says_so(two):
     robot = jaxik.load(two, tip=HANDS, held={})
     targets = np.eye(4)
     for call in (
-        lambda: jaxik.solve_ik(robot, targets),
         lambda: robot.part(0, 2),
         lambda: jaxik.closed_form(robot, targets),
         lambda: jaxik.homotopy.all_postures(robot, targets),

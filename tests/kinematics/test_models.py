@@ -72,6 +72,6 @@ def test_each_number_has_an_origin(path):
 
 def test_the_page_lists_each():
     page = (Path(__file__).parents[2] / "docs/models.md").read_text()
-    rows = dict(re.findall(r"^\| `(\w+)` \|[^|]*\| (\d) \|", page, re.M))
+    rows = dict(re.findall(r"^\| `(\w+)` \|[^|]*\| (\d+) \|", page, re.M))
     assert set(rows) == {path.stem for path in models_folder().glob("*.toml")}
     assert all(jaxik.load(name).num_joints == int(joints) for name, joints in rows.items())

@@ -13,6 +13,7 @@ import pytest
 import jaxik
 from jaxik.ik import seeds
 from jaxik.kinematics.reach_bound import reach_bound
+from jaxik.kinematics.tasks import Tasks
 
 ROBOT = jaxik.load("p6r")
 WAYS = {
@@ -79,7 +80,9 @@ def test_what_is_cached_and_shared_cannot_be_written():
     inside = seeds.Range((0.0, -1.0), (1.0, 1.0))
     shared = [seeds.uniform(inside, 0, 3), seeds.low_discrepancy(inside, 0, 0, 8), reach_bound(ROBOT)]
     shared.append(
-        seeds._set(ROBOT, jaxik.Task(), seeds.Range(tuple(ROBOT.lower.tolist()), tuple(ROBOT.upper.tolist())), 1.0, 0)
+        seeds._set(
+            ROBOT, Tasks.alone(jaxik.Task()), seeds.Range(tuple(ROBOT.lower.tolist()), tuple(ROBOT.upper.tolist())), 1.0, 0
+        )
     )
     assert len(arrays(shared)) >= 6
     for array in arrays(shared):

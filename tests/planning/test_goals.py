@@ -85,7 +85,7 @@ def test_each_goal_that_is_nearer_is_tried_once(arm, monkeypatch):
         way = np.array([starts[0], np.full(3, 3.0 / len(asked)), last]) if len(asked) != 3 else None
         return Found([way], np.array([7]), np.array([70]), [None])
 
-    monkeypatch.setattr(goal_search, "proven_ways", found)
+    monkeypatch.setattr(goal_search, "limb_ways", found)
     monkeypatch.setattr(goal_search, "other_ways", lambda robot, start, goals, lower, upper: goals[:0])
     limits = motion_limits("x", robot, 1.0, 1.0, (3,))
     space, told, import_time = CollisionChecker(robot, None, 0.0), lambda taken, ended: None, goal_search.time.monotonic()
