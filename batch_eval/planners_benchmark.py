@@ -140,7 +140,7 @@ def speeds(pairs: list[Pair]) -> dict[str, Any]:
     kernels = {kind: percentiles([1e6 * pair.kernels[kind] for pair in solved]) for kind in KINDS}
     left = [1e6 * (pair.call - sum(pair.kernels.values())) for pair in solved]
     found: dict[str, Any] = {"call": percentiles([1e6 * pair.call for pair in solved]), "python": percentiles(left), **kernels}
-    return {"jaxik_us": found, "edges": percentiles([pair.moved.rounds for pair in solved])}  # type: ignore[union-attr]
+    return {"jaxik_us": found, "looks": percentiles([pair.moved.rounds for pair in solved])}  # type: ignore[union-attr]
 
 
 def beside(robot: jaxik.Robot, pairs: list[Pair]) -> dict[str, Any]:
@@ -148,7 +148,7 @@ def beside(robot: jaxik.Robot, pairs: list[Pair]) -> dict[str, Any]:
     both = [pair for pair in pairs if pair.moved and pair.other]
     searched = [pair for pair in both if pair.moved.rounds and pair.other.iterations]  # type: ignore[union-attr]
     ours, theirs = (np.array(x) for x in zip(*((1e6 * p.kernels["search"], p.search) for p in searched), strict=True))
-    edges, turns = (np.array(x) for x in zip(*((p.moved.rounds, p.other.iterations) for p in searched), strict=True))  # type: ignore[union-attr]
+    looks, turns = (np.array(x) for x in zip(*((p.moved.rounds, p.other.iterations) for p in searched), strict=True))  # type: ignore[union-attr]
     found: dict[str, Any] = {
         "search": {
             "problems": len(searched),
@@ -158,9 +158,9 @@ def beside(robot: jaxik.Robot, pairs: list[Pair]) -> dict[str, Any]:
             "ratio": percentiles(ours / theirs),
             "ratio_of_p50": float(np.median(ours) / np.median(theirs)),
             "ratio_of_sums": float(ours.sum() / theirs.sum()),
-            "jaxik_edges": percentiles(edges),
+            "jaxik_looks": percentiles(looks),
             "vamp_iterations": percentiles(turns),
-            "jaxik_us_an_edge": float(ours.sum() / edges.sum()),
+            "jaxik_us_a_look": float(ours.sum() / looks.sum()),
             "vamp_us_an_iteration": float(theirs.sum() / turns.sum()),
         },
         "vamp_solved": sum(bool(pair.other) for pair in pairs),
@@ -225,7 +225,7 @@ def row(robot: jaxik.Robot, goal: motionbenchmaker.Goal, pair: Pair) -> dict[str
         found |= {
             "rad": radians(way),
             "m": length(robot, way),
-            "edges": int(pair.moved.rounds),
+            "looks": int(pair.moved.rounds),
             "checked": int(pair.moved.checked),
         }
     if pair.other:

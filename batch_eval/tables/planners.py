@@ -47,7 +47,7 @@ def _times(result: dict[str, Any]) -> list[str]:
 def _ways(result: dict[str, Any]) -> list[str]:
     """Counts and lengths beside VAMP's."""
     search, more = result["search"], result["improved"]
-    ratio, edges, turns = search["ratio"], search["jaxik_edges"]["mean"], search["vamp_iterations"]["mean"]
+    ratio, looks, turns = search["ratio"], search["jaxik_looks"]["mean"], search["vamp_iterations"]["mean"]
     both = lambda row, *names: "; ".join(f"{row[name]:.2f}" for name in names)
     beside = lambda row: f"{row['ratio']['mean']:.2f} ({row['ratio']['p50']:.2f}; {row['ratio']['p95']:.2f})"
     longer = f"{more['seconds']:g} s more, {more['motions']} motions"
@@ -64,9 +64,10 @@ def _ways(result: dict[str, Any]) -> list[str]:
     told = f"jaxik's search takes {search['ratio_of_p50']:.1f} times VAMP's by the medians, "
     told += f"{search['ratio_of_sums']:.1f} times in all, "
     told += (
-        f"{ratio['p50']:.1f} times in the median problem (95 %: {ratio['p95']:.0f}). In the mean it is {edges:.0f} edges of "
+        f"{ratio['p50']:.1f} times in the median problem (95 %: {ratio['p95']:.0f}). In the mean it "
+        f"is {looks:.0f} looks at sixteen samples, of "
     )
-    told += f"{search['jaxik_us_an_edge']:.1f} us beside {turns:.0f} iterations of {search['vamp_us_an_iteration']:.2f} us."
+    told += f"{search['jaxik_us_a_look']:.1f} us beside {turns:.0f} iterations of {search['vamp_us_an_iteration']:.2f} us."
     return [
         *textwrap.wrap(told, 118),
         "",

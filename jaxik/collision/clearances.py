@@ -175,25 +175,19 @@ def _collides(robot: Robot, around: Grouped, q: Any, margin: Any) -> Any:
 
 def lanes_that_collide(robot: Robot, around: Grouped, q: Any, margin: Any, each: Any) -> Any:
     """Whether a team's lane has a configuration that `collides`, of `each` lane, or of the first that does and those before it:
-    the others then need not be known. Nothing is checked. Traced.
-
-    Programs that ask for it with arguments of the same shapes share one trace."""
-    ask = _one_trace(robot) if is_known(robot) else functools.partial(_lanes_that_collide, robot)
-    return ask(around, q, jnp.asarray(margin, q.dtype), jnp.asarray(each))
-
-
-def _lanes_that_collide(robot: Robot, around: Grouped, q: Any, margin: Any, each: Any) -> Any:
+    the others then need not be known. Nothing is checked. Traced."""
     me = lax.axis_index(TEAM)
 
     def settled(hit: Any) -> Any:
         return jnp.where(each, hit, me >= lax.pmin(jnp.where(hit, me, TEAM_SIZE), TEAM))
 
-    return _too_near(robot, around, q, margin, settled)
+    return _too_near(robot, around, q, jnp.asarray(margin, q.dtype), settled)
 
 
-@functools.lru_cache(maxsize=64)
-def _one_trace(robot: Robot) -> Callable[..., Any]:
-    return jax.jit(functools.partial(_lanes_that_collide, robot))
+def any_collides(robot: Robot, around: Grouped, q: Any, margin: Any) -> Any:
+    """Whether the configuration of any of a team's lanes `collides`. Nothing is checked. Traced."""
+    some = lambda hit: lax.pmax(hit.astype(jnp.int32), TEAM) > 0
+    return some(_too_near(robot, around, q, jnp.asarray(margin, q.dtype), some))
 
 
 def _too_near(robot: Robot, around: Grouped, q: Any, margin: Any, settled: Callable[[Any], Any]) -> Any:

@@ -17,7 +17,7 @@ import numpy as np
 from jax import lax
 
 from jaxik.collision.bvh import Grouped
-from jaxik.collision.clearances import lanes_that_collide
+from jaxik.collision.clearances import any_collides
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.world import in_world
@@ -315,4 +315,4 @@ class _Lazy:
 
     def hits(self, q: Any) -> Any:
         """Whether any lane's configuration does."""
-        return lax.psum(lanes_that_collide(self.robot, self.obstacles, q, self.margin, False).astype(jnp.int32), TEAM) > 0
+        return any_collides(self.robot, self.obstacles, q, self.margin)
