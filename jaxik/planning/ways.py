@@ -31,6 +31,7 @@ CUSHIONS = np.unique([CLOSE, *(part * look.cushion for look in LOOKS for part in
 SHARES = 0.5 ** np.arange(1.0, 6.0)  # of the shorter line at a corner, at which its bend begins and ends
 CHORDS = 8
 CALL = 128  # rounds of the search between two looks at the clock
+UNPROVEN = 1536  # rounds that a way counts for which cannot be proven: it takes their time to shorten it, and to try
 TRIES = 8  # searches whose way could not be proven, before one looks closer
 TOGETHER = 64  # problems whose trees fit in the caches
 
@@ -91,7 +92,7 @@ def _proven_ways(
     prepare(space, starts[:1].repeat(2, axis=0))
     clock = Clock(None if seconds is None else seconds * len(starts), progress, searches)
     ways: list[np.ndarray | None] = [None] * len(starts)
-    checked = np.zeros(len(starts), int)
+    checked, spent = np.zeros((2, len(starts)), int)
     for look in LOOKS:
         left = np.array([i for i, way in enumerate(ways) if way is None and not hopeless[i]], int)
         limit = np.ceil(look.share * rounds).astype(int)
@@ -101,7 +102,7 @@ def _proven_ways(
         for _ in range(TRIES):
             if not len(left) or clock.over:
                 break
-            search_on(searches, left, look, cushion, limit, clock)
+            search_on(searches, left, look, cushion, limit - spent, clock)
             left = left[searches.found.joined[left]]  # the others look closer
             if not len(left):
                 break
@@ -110,14 +111,16 @@ def _proven_ways(
             for i, way in zip(left.tolist(), found, strict=True):
                 if way is None:
                     searches.begin(i)
+                    spent[i] += UNPROVEN
                     continue
                 ways[i] = way + turns[i]
                 nearest = np.argmin(np.abs(goals[i] - ways[i][-1]).sum(axis=1))
                 ways[i][0], ways[i][-1] = starts[i], goals[i][nearest]  # to the last bit
                 clock.ended += 1
-            left = np.array([i for i in left if ways[i] is None and searches.taken[i] < limit[i]], int)
+            left = np.array([i for i in left if ways[i] is None and searches.taken[i] + spent[i] < limit[i]], int)
     gaps = [None if way is not None else searches.gap(i) + turns[i] for i, way in enumerate(ways)]
-    return Found(ways, searches.taken, checked + TEAM_SIZE * searches.taken, gaps)
+    taken = np.minimum(searches.taken + spent, np.maximum(rounds, searches.taken))
+    return Found(ways, taken, checked + TEAM_SIZE * searches.taken, gaps)
 
 
 def _provable(ends: Sequence[np.ndarray], kept: Sequence[np.ndarray]) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
