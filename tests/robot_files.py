@@ -39,6 +39,20 @@ def link(name, mass=1.0):
     return f'<link name="{name}">{INERTIAL.format(mass)}{shape}</link>'
 
 
+def tree_of_balls(name, links, joints, radius, along):
+    """A URDF whose links are balls of a `radius`, so far along x of their frames [m]; joints are (name, type, parent, child,
+    place, axis, mimic)."""
+    shape = f'<collision><origin xyz="{along} 0 0"/><geometry><sphere radius="{radius}"/></geometry></collision>'
+    limit = lambda kind: 0.3 if kind == "prismatic" else 2.5
+    placed = "".join(
+        f'<joint name="{own}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{xyz}" rpy="0.1 0.2 -0.1"/><axis xyz="{axis}"/>'
+        f'<limit lower="-{limit(kind)}" upper="{limit(kind)}" velocity="3" effort="40"/>{mimic}</joint>'
+        for own, kind, parent, child, xyz, axis, mimic in joints
+    )
+    return f'<robot name="{name}">{"".join(f"""<link name="{link}">{shape}</link>""" for link in links)}{placed}</robot>'
+
+
 def joint(name, parent, child, kind="revolute", xyz="0.3 0 0", axis="0 0 1", more=""):
     ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}" rpy="0.2 -0.1 0.3"/>'
     return f'<joint name="{name}" type="{kind}">{ends}<axis xyz="{axis}"/>{LIMIT}{more}</joint>'

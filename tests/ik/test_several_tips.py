@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from peers.tree_truth import TreeTruth
-from robot_files import write
+from robot_files import tree_of_balls, write
 from robots import FOLDER
 
 import jaxik
@@ -18,7 +18,7 @@ from jaxik.reasons import Reason
 from jaxik.spatial.rotations import frame
 
 BAXTER, HANDS = FOLDER / "baxter_description/urdf/baxter.urdf", ("left_gripper", "right_gripper")
-RADIUS, LIMIT = 0.05, '<limit lower="-2.5" upper="2.5" velocity="3" effort="40"/>'
+RADIUS = 0.05
 LINKS = ("base", "torso", "left", "elbow", "left_hand", "right", "right_elbow", "right_hand", "thumb", "finger")
 JOINTS = (  # name, type, parent, child, place, axis, mimic: a torso that both arms share, and fingers that move by one joint
     ("turn", "revolute", "base", "torso", "0 0 0.5", "0 0 1", ""),
@@ -31,14 +31,7 @@ JOINTS = (  # name, type, parent, child, place, axis, mimic: a torso that both a
     ("flex", "revolute", "left_hand", "thumb", "0.2 0.1 0", "0 0 1", ""),
     ("grip", "revolute", "left_hand", "finger", "0.2 -0.1 0", "0 0 1", '<mimic joint="flex" multiplier="-1.5" offset="0.2"/>'),
 )
-SHAPE = f'<collision><origin xyz="0.1 0 0"/><geometry><sphere radius="{RADIUS}"/></geometry></collision>'
-PLACED = "".join(
-    f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-    f'<origin xyz="{xyz}" rpy="0.1 0.2 -0.1"/><axis xyz="{axis}"/>'
-    f"{LIMIT.replace('2.5', '0.3') if kind == 'prismatic' else LIMIT}{mimic}</joint>"
-    for name, kind, parent, child, xyz, axis, mimic in JOINTS
-)
-TWO = f'<robot name="two">{"".join(f"""<link name="{name}">{SHAPE}</link>""" for name in LINKS)}{PLACED}</robot>'
+TWO = tree_of_balls("two", LINKS, JOINTS, RADIUS, 0.1)
 
 
 @functools.cache
