@@ -50,7 +50,7 @@ def searched(
         tell = lambda taken, ended: told(int(found.rounds[0]) + taken, len(starts) - len(rows) + ended)
         every = [np.concatenate([goals[i], others[i]]) for i in rows]
         left = rounds[rows] - found.rounds[rows]
-        _take(found, rows, limb_ways(space, starts[rows], every, seed, left, _each(until, len(rows)), tell, among[rows]))
+        found.take(rows, limb_ways(space, starts[rows], every, seed, left, _each(until, len(rows)), tell, among[rows]))
     if compared and any(len(each) + len(more) > 1 for each, more in zip(goals, others, strict=True)):
         _compare(space, found, starts, goals, others, seed, until, limits, among)
     return found
@@ -59,14 +59,6 @@ def searched(
 def _each(until: float, count: int) -> float | None:
     """The seconds that each of so many has until a moment; None without an end."""
     return None if np.isinf(until) else max(0.0, until - time.monotonic()) / max(1, count)
-
-
-def _take(found: Found, rows: list[int], again: Found) -> None:
-    """Puts what was found again into its rows."""
-    found.rounds[rows] += again.rounds
-    found.checked[rows] += again.checked
-    for i, way, gap in zip(rows, again.ways, again.gaps, strict=True):
-        found.ways[i], found.gaps[i] = way, gap
 
 
 def _compare(

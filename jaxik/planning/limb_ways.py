@@ -75,10 +75,7 @@ def limb_ways(
         again = proven_ways(
             space, starts[rows], [goals[i] for i in rows], seed, (rounds - taken)[rows], left, tell, among[rows]
         )
-        found.rounds[rows] += again.rounds
-        found.checked[rows] += again.checked
-        for i, way, gap in zip(rows, again.ways, again.gaps, strict=True):
-            found.ways[i], found.gaps[i] = way, gap
+        found.take(rows, again)
     return found
 
 

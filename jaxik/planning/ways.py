@@ -45,6 +45,13 @@ class Found(NamedTuple):
     checked: np.ndarray
     gaps: list[np.ndarray | None]
 
+    def take(self, rows: list[int], again: Found) -> None:
+        """Puts what was found again into its rows."""
+        self.rounds[rows] += again.rounds
+        self.checked[rows] += again.checked
+        for i, way, gap in zip(rows, again.ways, again.gaps, strict=True):
+            self.ways[i], self.gaps[i] = way, gap
+
 
 def proven_ways(
     space: CollisionChecker,
