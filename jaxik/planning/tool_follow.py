@@ -1,0 +1,175 @@
+"""Configurations along a tool's path, brought on to it and moved along what the path leaves free to the shortest joint motion.
+
+With q_i on the path, all others near it are q_i + N_i z_i, N_i a basis of the null space of the task's rows. The sum
+
+    sum_i |w (q_{i+1} - q_i)|^2 / (s_{i+1} - s_i)  +  stiff sum_i |short of the limits, short of the clearance|^2
+
+is quadratic in z for what is linear in it, and its matrix is block tridiagonal: one banded solve a step of Gauss-Newton.
+Configurations then return to the path by Newton's method. [Nocedal and Wright 2006, ch. 10; Siciliano et al. 2009, sec. 3.5]
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxik.collision.bvh import Grouped
+from jaxik.collision.clearances import clearance
+from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.tasks import Tasks
+from jaxik.optimise.linear import column, definite_solve, dot
+from jaxik.planning.collision_checker import CollisionChecker
+from jaxik.planning.tool_choice import Steps
+from jaxik.spatial.algebra import traced
+from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.host import host_kernels
+
+CLOSE = 1e-9  # [m, rad] of a residual, at which a configuration is on the path
+NEWTON = 8
+ROUNDS = 12  # of Gauss-Newton
+SHARES = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried together
+WORTH = 1e-3  # of the sum, below which a step ends it
+NEAR, CUSHION = 0.02, 2e-3  # [m] of clearance, within which it counts, and that it is to keep
+SLACK = 0.01  # [rad, m] of the limits that it is to keep
+STIFF = 1e3  # [1/m] of what is short
+PROBE = 1e-3  # of z, over which the clearance's slope is measured
+
+
+class Followed(NamedTuple):
+    """A robot that follows a path: what is bound, the limits (n,), and how steps are judged."""
+
+    robot: Robot
+    tasks: Tasks
+    space: CollisionChecker | None
+    around: Grouped | None
+    lower: np.ndarray
+    upper: np.ndarray
+    steps: Steps
+
+    def brought(self, q: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Configurations (b, n) inside the limits with the poses (b, 4, 4), near those given; and which are there (b,)."""
+        q, off = in_blocks(_brought(self.robot, self.tasks), q, poses, fixed=(self.lower, self.upper), double=True)
+        return q, off <= 10.0 * CLOSE
+
+    def shorter(self, q: np.ndarray, poses: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Configurations (M, n) that are on the path and free, with less joint motion over s (M,), and free as well."""
+        if len(q) < 3 or q.shape[1] <= self.tasks.bound:
+            return q
+        cost, terms = self._judged(q, s)
+        damping = 0.0
+        for _ in range(ROUNDS):
+            basis = self._basis(q, poses)
+            step = np.einsum("mnr,mr->mn", basis, self._step(q, s, basis, terms, damping))
+            tried = np.concatenate([q + share * step for share in SHARES])
+            moved, there = self.brought(tried, np.tile(poses, (len(SHARES), 1, 1)))
+            free = there & ~self._hits(moved)
+            each = moved.reshape(len(SHARES), *q.shape)
+            fine = free.reshape(len(SHARES), -1).all(axis=1)
+            judged = [self._judged(one, s) if good else (np.inf, terms) for one, good in zip(each, fine, strict=True)]
+            best = int(np.argmin([one for one, _ in judged]))
+            if not judged[best][0] < cost:
+                if damping:
+                    break
+                damping = 1.0
+                continue
+            ended = judged[best][0] > (1.0 - WORTH) * cost
+            q, (cost, terms), damping = each[best], judged[best], 0.0
+            if ended:
+                break
+        return q
+
+    def _hits(self, q: np.ndarray) -> np.ndarray:
+        return np.zeros(len(q), bool) if self.space is None else self.space.hits(q)
+
+    def _clearances(self, q: np.ndarray) -> np.ndarray:
+        if self.around is None:
+            return np.full(len(q), np.inf)
+        return in_blocks(_clearance(self.robot), q, fixed=(self.around,), double=False)[0]
+
+    def _judged(self, q: np.ndarray, s: np.ndarray) -> tuple[float, Any]:
+        """The sum, and what is short of the limits (M, 2 n) and of the clearance (M,)."""
+        inside = np.concatenate([q - self.lower - SLACK, self.upper - q - SLACK], axis=1)
+        short = np.minimum(inside, 0.0)
+        near = self._clearances(q) - CUSHION - (0.0 if self.space is None else float(self.space.margin))
+        moved = self.steps.weights * np.diff(q, axis=0)
+        cost = np.sum(moved**2 / np.diff(s)[:, None]) + STIFF * (np.sum(short**2) + np.sum(np.minimum(near, 0.0) ** 2) * 100.0)
+        return float(cost), (inside, near)
+
+    def _basis(self, q: np.ndarray, poses: np.ndarray) -> np.ndarray:
+        """Bases (M, n, r) of what the task leaves free."""
+        _, rows = in_blocks(_seen(self.robot, self.tasks), q, poses, double=True)
+        return np.linalg.qr(rows.swapaxes(1, 2), mode="complete")[0][:, :, rows.shape[1] :]
+
+    def _step(self, q: np.ndarray, s: np.ndarray, basis: np.ndarray, terms: Any, damping: float) -> np.ndarray:
+        """The z (M, r) of a step of Gauss-Newton."""
+        from scipy.linalg import solveh_banded
+
+        (count, n, r), (inside, near) = basis.shape, terms
+        weighted, share = self.steps.weights[:, None] * basis, 1.0 / np.diff(s)
+        pulled = self.steps.weights * np.diff(q, axis=0) * share[:, None]
+        both = np.zeros(count)
+        both[:-1] += share
+        both[1:] += share
+        diagonal = both[:, None, None] * np.einsum("mni,mnj->mij", weighted, weighted)
+        beside = -share[:, None, None] * np.einsum("mni,mnj->mij", weighted[1:], weighted[:-1])
+        force = np.zeros((count, n))
+        force[:-1] += pulled
+        force[1:] -= pulled
+        right = np.einsum("mni,mn->mi", weighted, force)
+        for sign, part in ((1.0, inside[:, :n]), (-1.0, inside[:, n:])):
+            tight = STIFF * (part < 0.0)
+            diagonal += np.einsum("mni,mn,mnj->mij", basis, tight, basis)
+            right -= np.einsum("mni,mn->mi", basis, sign * tight * part)
+        close = np.flatnonzero(near < NEAR)
+        if len(close):
+            probes = np.stack([q[close] + sign * PROBE * basis[close, :, i] for i in range(r) for sign in (1.0, -1.0)])
+            slope = self._clearances(probes.reshape(-1, n)).reshape(r, 2, -1)
+            slope = ((slope[:, 0] - slope[:, 1]) / (2.0 * PROBE)).T
+            tight = 100.0 * STIFF * (near[close] < 0.0)
+            diagonal[close] += tight[:, None, None] * slope[:, :, None] * slope[:, None]
+            right[close] -= (tight * near[close])[:, None] * slope
+        diagonal += (1e-9 + damping * both)[:, None, None] * np.eye(r)
+        banded = np.zeros((2 * r, count * r))  # lower form
+        for i in range(r):
+            for j in range(r):
+                if i >= j:
+                    banded[i - j, j::r] = diagonal[:, i, j]
+                banded[r + i - j, j : (count - 1) * r : r] = beside[:, i, j]
+        return solveh_banded(banded, right.ravel(), lower=True).reshape(count, r)
+
+
+@host_kernels(1)
+def _clearance(robot: Robot, q: Any, around: Any) -> Any:
+    return clearance(robot, around, q)
+
+
+@host_kernels(2)
+def _seen(robot: Robot, tasks: Tasks, q: Any, pose: Any) -> tuple[Any, Any]:
+    """The residual (m,) of the tasks' bound components, and their rows (m, n). Traced."""
+    residual, rows = _looked(robot, tasks, q, pose)
+    return jnp.stack(residual), jnp.stack([jnp.stack(row) for row in rows])
+
+
+def _looked(robot: Robot, tasks: Tasks, q: Any, pose: Any) -> tuple[list[Any], list[list[Any]]]:
+    frames, targets = joint_frames(robot, list(q), dtype=q.dtype), tasks.targets(pose)
+    residual = [x for parts in tasks.residuals(frames, targets) for part in parts for x in part]
+    rows = [row for each in tasks.rows(robot, frames, targets) for row in each]
+    return [jnp.asarray(x, q.dtype) for x in residual], [[jnp.asarray(x, q.dtype) for x in row] for row in rows]
+
+
+@host_kernels(2)
+def _brought(robot: Robot, tasks: Tasks, q: Any, pose: Any, lower: Any, upper: Any) -> tuple[Any, Any]:
+    """The configuration after some steps of Newton's method inside the limits, and the most that it is off. Traced."""
+
+    def newton(_: Any, q: Any) -> Any:
+        residual, rows = _looked(robot, tasks, q, pose)
+        normal = [[dot(a, b) + (1e-12 if a is b else 0.0) for b in rows[: i + 1]] for i, a in enumerate(rows)]
+        pull = definite_solve(normal, residual, 1e-12)
+        return jnp.clip(q - jnp.stack([dot(column(rows, k), pull) for k in range(len(q))]), lower, upper)
+
+    q = lax.fori_loop(0, NEWTON, newton, jnp.clip(q, lower, upper))
+    return q, jnp.max(jnp.abs(jnp.stack(_looked(robot, tasks, q, pose)[0])))
