@@ -114,14 +114,19 @@ def _turned(poses: np.ndarray, axis: int, angle: np.ndarray, in_tool: bool) -> n
     return turned
 
 
-def candidates(free: Free, space: CollisionChecker | None, poses: np.ndarray, values: np.ndarray) -> Candidates:
-    """The candidates of poses (M, 4, 4), with the samples (S, k) of all, or (M, S, k) of each, that keep the margin."""
+def candidates(
+    free: Free, space: CollisionChecker | None, poses: np.ndarray, values: np.ndarray, room: tuple[float, float] = (0.0, 0.0)
+) -> Candidates:
+    """The candidates of poses (M, 4, 4), with the samples (S, k) of all, or (M, S, k) of each, that keep the margin; both with
+    some `room` to the limits [rad, m] and beyond the margin [m]."""
     count, samples = len(poses), values.shape[-2]
     rows = np.broadcast_to(values, (count, *values.shape[-2:])).reshape(count * samples, -1)
     q, valid, inside = free.solved(np.repeat(poses, samples, axis=0), rows)
+    if room[0]:
+        inside &= ((q >= free.robot.lower + room[0]) & (q <= free.robot.upper - room[0])).all(axis=2)
     row = np.nonzero(inside)[0]
     found = q[inside].astype(float)
-    hit = np.zeros(len(found), bool) if space is None else space.hits(found)
+    hit = np.zeros(len(found), bool) if space is None else space.hits(found, room[1])
     station = row // samples
     some = lambda flags: flags.reshape(count, -1).any(axis=1)
     reason = np.where(some(inside), Reason.COLLISION, np.where(some(valid), Reason.LIMITS, Reason.OUT_OF_REACH))

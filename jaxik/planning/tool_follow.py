@@ -30,17 +30,19 @@ from jaxik.spmd.host import host_kernels
 
 CLOSE = 1e-9  # [m, rad] of a residual, at which a configuration is on the path
 NEWTON = 8
-ROUNDS = 12  # of Gauss-Newton
+FULL = 0.95  # of the step that a joint may take, which configurations may come to
+ROUNDS, INNER = 20, 6  # of Gauss-Newton
 SHARES = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried together
 WORTH = 1e-3  # of the sum, below which a step ends it
-NEAR, CUSHION = 0.02, 2e-3  # [m] of clearance, within which it counts, and that it is to keep
-SLACK = 0.01  # [rad, m] of the limits that it is to keep
-STIFF = 1e3  # [1/m] of what is short
+NEAR, ABOVE = 0.02, 2e-3  # [m] of clearance, within which it counts, and that it is to keep beyond the cushion
+SLACK = 0.01  # [rad, m] from the limits that joints are to keep
+STIFF = 1e5, 1e6  # [1/m] of what is short of the limits, and of the clearance
 PROBE = 1e-3  # of z, over which the clearance's slope is measured
 
 
 class Followed(NamedTuple):
-    """A robot that follows a path: what is bound, the limits (n,), and how steps are judged."""
+    """A robot that follows a path: what is bound, the limits (n,), how steps are judged, and the clearance that configurations
+    keep beyond the margin, for what is between them [m]."""
 
     robot: Robot
     tasks: Tasks
@@ -49,6 +51,7 @@ class Followed(NamedTuple):
     lower: np.ndarray
     upper: np.ndarray
     steps: Steps
+    cushion: float = 0.0
 
     def brought(self, q: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Configurations (b, n) inside the limits with the poses (b, 4, 4), near those given; and which are there (b,)."""
@@ -66,10 +69,10 @@ class Followed(NamedTuple):
             step = np.einsum("mnr,mr->mn", basis, self._step(q, s, basis, terms, damping))
             tried = np.concatenate([q + share * step for share in SHARES])
             moved, there = self.brought(tried, np.tile(poses, (len(SHARES), 1, 1)))
-            free = there & ~self._hits(moved)
-            each = moved.reshape(len(SHARES), *q.shape)
-            fine = free.reshape(len(SHARES), -1).all(axis=1)
-            judged = [self._judged(one, s) if good else (np.inf, terms) for one, good in zip(each, fine, strict=True)]
+            free = (there & ~self._hits(moved)).reshape(len(SHARES), -1, 1)
+            each = np.where(free, moved.reshape(len(SHARES), *q.shape), q)  # where one may not move, it stays
+            most = max(FULL, self._largest(q))
+            judged = [self._judged(one, s) if self._largest(one) <= most else (np.inf, terms) for one in each]
             best = int(np.argmin([one for one, _ in judged]))
             if not judged[best][0] < cost:
                 if damping:
@@ -82,8 +85,12 @@ class Followed(NamedTuple):
                 break
         return q
 
+    def _largest(self, q: np.ndarray) -> float:
+        """The largest share of the step that a joint may take."""
+        return float(np.max(np.abs(np.diff(q, axis=0)) / self.steps.most))
+
     def _hits(self, q: np.ndarray) -> np.ndarray:
-        return np.zeros(len(q), bool) if self.space is None else self.space.hits(q)
+        return np.zeros(len(q), bool) if self.space is None else self.space.hits(q, self.cushion)
 
     def _clearances(self, q: np.ndarray) -> np.ndarray:
         if self.around is None:
@@ -94,9 +101,9 @@ class Followed(NamedTuple):
         """The sum, and what is short of the limits (M, 2 n) and of the clearance (M,)."""
         inside = np.concatenate([q - self.lower - SLACK, self.upper - q - SLACK], axis=1)
         short = np.minimum(inside, 0.0)
-        near = self._clearances(q) - CUSHION - (0.0 if self.space is None else float(self.space.margin))
+        near = self._clearances(q) - self.cushion - ABOVE - (0.0 if self.space is None else float(self.space.margin))
         moved = self.steps.weights * np.diff(q, axis=0)
-        cost = np.sum(moved**2 / np.diff(s)[:, None]) + STIFF * (np.sum(short**2) + np.sum(np.minimum(near, 0.0) ** 2) * 100.0)
+        cost = np.sum(moved**2 / np.diff(s)[:, None]) + STIFF[0] * np.sum(short**2) + STIFF[1] * np.sum(np.minimum(near, 0.0) ** 2)
         return float(cost), (inside, near)
 
     def _basis(self, q: np.ndarray, poses: np.ndarray) -> np.ndarray:
@@ -106,8 +113,6 @@ class Followed(NamedTuple):
 
     def _step(self, q: np.ndarray, s: np.ndarray, basis: np.ndarray, terms: Any, damping: float) -> np.ndarray:
         """The z (M, r) of a step of Gauss-Newton."""
-        from scipy.linalg import solveh_banded
-
         (count, n, r), (inside, near) = basis.shape, terms
         weighted, share = self.steps.weights[:, None] * basis, 1.0 / np.diff(s)
         pulled = self.steps.weights * np.diff(q, axis=0) * share[:, None]
@@ -120,26 +125,44 @@ class Followed(NamedTuple):
         force[:-1] += pulled
         force[1:] -= pulled
         right = np.einsum("mni,mn->mi", weighted, force)
-        for sign, part in ((1.0, inside[:, :n]), (-1.0, inside[:, n:])):
-            tight = STIFF * (part < 0.0)
-            diagonal += np.einsum("mni,mn,mnj->mij", basis, tight, basis)
-            right -= np.einsum("mni,mn->mi", basis, sign * tight * part)
-        close = np.flatnonzero(near < NEAR)
+        diagonal += (1e-9 + damping * both)[:, None, None] * np.eye(r)
+        rows = np.concatenate([basis, -basis], axis=1)  # what the limits leave grows by these
+        slope = self._slopes(q, basis, near)
+        z = np.zeros((count, r))
+        for _ in range(INNER):  # Newton's method on what is quadratic but for which limits hold
+            tight = STIFF[0] * (inside + np.einsum("mnr,mr->mn", rows, z) < 0.0)
+            close = STIFF[1] * (near + np.sum(slope * z, axis=1) < 0.0)
+            matrix = diagonal + np.einsum("mni,mn,mnj->mij", rows, tight, rows)
+            matrix += close[:, None, None] * slope[:, :, None] * slope[:, None]
+            pull = right - np.einsum("mni,mn->mi", rows, tight * inside) - (close * np.where(close, near, 0.0))[:, None] * slope
+            before, z = z, _banded(matrix, beside, pull)
+            if np.abs(z - before).max() < 1e-6:
+                break
+        return z
+
+    def _slopes(self, q: np.ndarray, basis: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """The derivatives (M, r) of the clearance by z, where it counts."""
+        (count, n, r), close = basis.shape, np.flatnonzero(near < NEAR)
+        found = np.zeros((count, r))
         if len(close):
             probes = np.stack([q[close] + sign * PROBE * basis[close, :, i] for i in range(r) for sign in (1.0, -1.0)])
-            slope = self._clearances(probes.reshape(-1, n)).reshape(r, 2, -1)
-            slope = ((slope[:, 0] - slope[:, 1]) / (2.0 * PROBE)).T
-            tight = 100.0 * STIFF * (near[close] < 0.0)
-            diagonal[close] += tight[:, None, None] * slope[:, :, None] * slope[:, None]
-            right[close] -= (tight * near[close])[:, None] * slope
-        diagonal += (1e-9 + damping * both)[:, None, None] * np.eye(r)
-        banded = np.zeros((2 * r, count * r))  # lower form
-        for i in range(r):
-            for j in range(r):
-                if i >= j:
-                    banded[i - j, j::r] = diagonal[:, i, j]
-                banded[r + i - j, j : (count - 1) * r : r] = beside[:, i, j]
-        return solveh_banded(banded, right.ravel(), lower=True).reshape(count, r)
+            seen = self._clearances(probes.reshape(-1, n)).reshape(r, 2, -1)
+            found[close] = ((seen[:, 0] - seen[:, 1]) / (2.0 * PROBE)).T
+        return found
+
+
+def _banded(diagonal: np.ndarray, beside: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The solution (M, r) of a block tridiagonal system: blocks (M, r, r), and those beneath them (M-1, r, r)."""
+    from scipy.linalg import solveh_banded
+
+    count, r = right.shape
+    banded = np.zeros((2 * r, count * r))  # lower form
+    for i in range(r):
+        for j in range(r):
+            if i >= j:
+                banded[i - j, j::r] = diagonal[:, i, j]
+            banded[r + i - j, j : (count - 1) * r : r] = beside[:, i, j]
+    return solveh_banded(banded, right.ravel(), lower=True).reshape(count, r)
 
 
 @host_kernels(1)
@@ -165,11 +188,16 @@ def _looked(robot: Robot, tasks: Tasks, q: Any, pose: Any) -> tuple[list[Any], l
 def _brought(robot: Robot, tasks: Tasks, q: Any, pose: Any, lower: Any, upper: Any) -> tuple[Any, Any]:
     """The configuration after some steps of Newton's method inside the limits, and the most that it is off. Traced."""
 
-    def newton(_: Any, q: Any) -> Any:
-        residual, rows = _looked(robot, tasks, q, pose)
-        normal = [[dot(a, b) + (1e-12 if a is b else 0.0) for b in rows[: i + 1]] for i, a in enumerate(rows)]
-        pull = definite_solve(normal, residual, 1e-12)
-        return jnp.clip(q - jnp.stack([dot(column(rows, k), pull) for k in range(len(q))]), lower, upper)
+    step = lambda _, q: newton_step(robot, tasks, q, pose, lower, upper)[0]
+    q = lax.fori_loop(0, NEWTON, step, jnp.clip(q, lower, upper))
+    return q, newton_step(robot, tasks, q, pose, lower, upper)[1]
 
-    q = lax.fori_loop(0, NEWTON, newton, jnp.clip(q, lower, upper))
-    return q, jnp.max(jnp.abs(jnp.stack(_looked(robot, tasks, q, pose)[0])))
+
+def newton_step(robot: Robot, tasks: Tasks, q: Any, pose: Any, lower: Any, upper: Any) -> tuple[Any, Any]:
+    """The configuration after a step of Newton's method towards a pose, inside the limits, and the most that it was off.
+    Traced."""
+    residual, rows = _looked(robot, tasks, q, pose)
+    normal = [[dot(a, b) + (1e-12 if a is b else 0.0) for b in rows[: i + 1]] for i, a in enumerate(rows)]
+    pull = definite_solve(normal, residual, 1e-12)
+    moved = jnp.stack([dot(column(rows, k), pull) for k in range(len(q))])
+    return jnp.clip(q - moved, lower, upper), jnp.max(jnp.abs(jnp.stack(residual)))

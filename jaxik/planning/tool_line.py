@@ -66,6 +66,15 @@ class ToolLine(NamedTuple):
         length = np.diff(self.s)[piece][:, None]
         return (self.poses[piece + 1, :3, 3] - self.poses[piece, :3, 3]) / length, self.turns[piece] / length
 
+    def span(self, begin: float, end: float) -> tuple[int, int]:
+        """The numbers of the first and the last given pose from one s to another, or else of those next to them."""
+        s = self.s[self.given]
+        inside = np.flatnonzero((s >= begin - EQUAL) & (s <= end + EQUAL))
+        if len(inside):
+            return int(inside[0]), int(inside[-1])
+        after = int(np.searchsorted(s, begin))
+        return max(0, after - 1), min(after, len(s) - 1)
+
     def moved(self, by: np.ndarray) -> ToolLine:
         """The line with all of its poses moved by a transform (4, 4) of the base."""
         return self._replace(poses=by @ self.poses, turns=self.turns @ by[:3, :3].T)

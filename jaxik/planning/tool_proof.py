@@ -45,6 +45,13 @@ class Proven(NamedTuple):
     off: np.ndarray
     open: np.ndarray
 
+    @staticmethod
+    def still(s: np.ndarray, q: np.ndarray) -> Proven:
+        """The path of a single configuration (1, n): a piece of no length."""
+        curve = np.zeros((1, 4, q.shape[1]))
+        curve[0, 3] = q[0]
+        return Proven(JointPath(np.zeros(1), curve), s, q, np.zeros((1, 2)), np.zeros(1, bool))
+
 
 def proven(follow: Followed, line: ToolLine, s: np.ndarray, q: np.ndarray, tolerance: np.ndarray) -> Proven:
     """The spline through configurations q (M, n) at s (M,), M >= 2, with as many more between them as its proof takes."""
