@@ -7,6 +7,7 @@ leaves to the tool. A station's samples are a grid over all of them, or a finer 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.reasons import Reason
 from jaxik.spmd.batch import in_blocks
 
+HALVINGS = 8  # of a sample, in which the end of a branch is found
 MOST_FREE = 2  # values over which a grid is laid
 SHARES = (1.0, 0.18)  # of the samples of one free value, for each of so many, to the same number of branches or so
 
@@ -122,18 +124,50 @@ def candidates(
     count, samples = len(poses), values.shape[-2]
     rows = np.broadcast_to(values, (count, *values.shape[-2:])).reshape(count * samples, -1)
     q, valid, inside = free.solved(np.repeat(poses, samples, axis=0), rows)
-    if room[0]:
-        inside &= ((q >= free.robot.lower + room[0]) & (q <= free.robot.upper - room[0])).all(axis=2)
-    row = np.nonzero(inside)[0]
-    found = q[inside].astype(float)
+    within = lambda q: ((q >= free.robot.lower + room[0]) & (q <= free.robot.upper - room[0])).all(axis=-1)
+    inside &= within(q)
+    row, found = np.nonzero(inside)[0], q[inside].astype(float)
+    if rows.shape[1] == 1:
+        more = _ends(free, poses, rows.reshape(count, samples), inside.reshape(count, samples, -1), within)
+        row, rows = np.concatenate([row, len(rows) + np.arange(len(more.q))]), np.concatenate([rows, more.values])
+        found, owner = np.concatenate([found, more.q]), np.concatenate([np.repeat(np.arange(count), samples), more.station])
+        order = np.argsort(owner[row], kind="stable")
+        row, found = row[order], found[order]
+    else:
+        owner = np.repeat(np.arange(count), samples)
     hit = np.zeros(len(found), bool) if space is None else space.hits(found, room[1])
-    station = row // samples
+    station = owner[row]
     some = lambda flags: flags.reshape(count, -1).any(axis=1)
     reason = np.where(some(inside), Reason.COLLISION, np.where(some(valid), Reason.LIMITS, Reason.OUT_OF_REACH))
     kept = np.flatnonzero(~hit)
     station = station[kept]
     reason[station] = Reason.SOLVED
     return Candidates(found[kept], rows[row[kept]], np.searchsorted(station, np.arange(count + 1)), reason)
+
+
+class Ends(NamedTuple):
+    """Candidates (E, n) at ends of branches, their free values (E, 1) and their stations (E,)."""
+
+    q: np.ndarray
+    values: np.ndarray
+    station: np.ndarray
+
+
+def _ends(free: Free, poses: np.ndarray, values: np.ndarray, inside: np.ndarray, within: Callable[[np.ndarray], np.ndarray]) -> Ends:
+    """The last candidates of branches that end between two samples (M, S): where two of them meet the arm goes from one to the
+    other, and what moves as a root there is far apart at the samples."""
+    station, before, branch = np.nonzero(inside[:, 1:] != inside[:, :-1])
+    first = inside[station, before, branch]
+    good, bad = (np.where(first == keep, values[station, before], values[station, before + 1]) for keep in (True, False))
+    q = np.full((len(station), free.robot.num_joints), np.nan)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (good + bad)
+        tried, _, fits = free.solved(poses[station], middle[:, None])
+        tried = tried[np.arange(len(tried)), branch]
+        fits = fits[np.arange(len(fits)), branch] & within(tried)
+        q[fits], good, bad = tried[fits], np.where(fits, middle, good), np.where(fits, bad, middle)
+    known = np.isfinite(q).all(axis=1)
+    return Ends(q[known], good[known, None], station[known])
 
 
 def compared_round(robot: Robot, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

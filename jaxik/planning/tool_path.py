@@ -41,10 +41,11 @@ from jaxik.reasons import Reason
 SPACING = 0.01  # [m] of stations at most
 SLIDING = 5.0  # [rad/m] that the motion of a joint that slides counts for
 ROOM, CUSHION = 3e-3, 1e-3  # [rad, m] from the limits, [m] beyond the margin, that configurations keep for what is between
-FIRST, MEAN, MOST = 64, 120, 1024  # samples to begin with; candidates of a station that are enough; samples at most
+FIRST, MOST = 64, 1024  # samples to begin with, and at most
+ENOUGH, MEAN = 60, 120  # candidates of a station, on average, of which every so many-th will do, and that are asked for
 FINE, REACH = 37, 1.5  # samples of the fine grid a free value, and how far it reaches, in samples of the coarse one
 SEVERAL = 9  # of each of two free values
-SLACK = 3.0  # samples of the coarse grid, by which a joint may move further there
+SLACK = 1.0  # by which a joint may move further on the coarse grid, of a sample's root: as far are two branches that meet
 AGAIN = 4  # times that candidates are chosen anew without those that prove to be none
 
 
@@ -221,9 +222,9 @@ def _twice(asked: Asked, poses: np.ndarray, coarse: Candidates, count: int) -> t
     follow, free = asked.follow, asked.free
     assert free is not None
     spacing = free.spacing(count)
-    slack = np.where(np.array(follow.robot.is_prismatic), 0.0, SLACK * float(np.max(spacing[~_slides(free)], initial=0.0)))
-    slack = slack + np.where(np.array(follow.robot.is_prismatic), SLACK * float(np.max(spacing[_slides(free)], initial=0.0)), 0.0)
-    wide = follow.steps._replace(most=follow.steps.most + slack)
+    slides = np.array(follow.robot.is_prismatic)
+    slack = np.where(slides, float(np.max(spacing[_slides(free)], initial=0.0)), np.sqrt(np.max(spacing[~_slides(free)], initial=0.0)))
+    wide = follow.steps._replace(most=follow.steps.most + SLACK * slack)
     rough = chosen(coarse.q, coarse.first, wide)
     each = FINE if len(free.lower) == 1 else SEVERAL
     fine = candidates(free, asked.space, poses, free.about(coarse.values[rough.number], spacing, REACH, each), (ROOM, CUSHION))
@@ -256,6 +257,8 @@ def _coarse(asked: Asked, poses: np.ndarray) -> tuple[Candidates, int]:
         count = FIRST
         found = ask(count, poses)
         mean = max(1.0, len(found.q) / len(poses))
+        if (thin := int(mean / ENOUGH)) > 1:
+            found, count = _thinned(free, found, count, thin)
         more = int(np.clip(count * MEAN / mean, FIRST, MOST // 2))
         if more > 1.2 * count:
             count, found = more, ask(more, poses)
@@ -263,6 +266,19 @@ def _coarse(asked: Asked, poses: np.ndarray) -> tuple[Candidates, int]:
         closer = ask(4 * count, poses[lost], (0.0, 0.0))
         found = _replaced(found, lost, closer)
     return found, count
+
+
+def _thinned(free: Free, found: Candidates, count: int, every: int) -> tuple[Candidates, int]:
+    """Every so many-th sample of a grid of one free value, and how many samples these are."""
+    if len(free.lower) != 1:
+        return found, count
+    spacing = free.spacing(count)[0]
+    kept = np.round((found.values[:, 0] - free.lower[0]) / spacing).astype(int) % every == 0
+    station = np.repeat(np.arange(len(found.reason)), np.diff(found.first))
+    lone = np.bincount(station[kept], minlength=len(found.reason)) == 0
+    kept |= lone[station]
+    first = np.searchsorted(station[kept], np.arange(len(found.reason) + 1))
+    return Candidates(found.q[kept], found.values[kept], first, found.reason), count // every
 
 
 def _replaced(found: Candidates, rows: np.ndarray, others: Candidates) -> Candidates:
