@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from jaxik import view as view
     from jaxik.harvesting import harvest
     from jaxik.motions import follow, predict
-    from jaxik.planning import plan_motion
+    from jaxik.planning import plan_motion, plan_path
     from jaxik.sweeps import sweep
 
 __all__ = [
@@ -76,6 +76,7 @@ __all__ = [
     "motions",
     "optimise",
     "plan_motion",
+    "plan_path",
     "planning",
     "pose",
     "predict",
@@ -95,7 +96,7 @@ _LATE = {  # packages that wait until they are asked for, and what stands here o
     "harvesting": "harvest",
     "identification": "",
     "motions": "follow predict",
-    "planning": "plan_motion",
+    "planning": "plan_motion plan_path",
     "reach": "",
     "sweeps": "sweep",
     "teleoperation": "",

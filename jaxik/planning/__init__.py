@@ -6,13 +6,20 @@ from jaxik.planning.roadmap import Roadmap, RoadmapOptions, build_roadmap
 from jaxik.planning.roadmap_file import load_roadmap, save_roadmap
 from jaxik.planning.roadmap_query import QueryOptions
 from jaxik.planning.timing import time_path
+from jaxik.planning.tool_options import PathOptions
+from jaxik.planning.tool_path import plan_path
+from jaxik.planning.tool_result import Arc, Mend, PathResult
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.planning.trajectory_files import load_trajectory, save_trajectory
 from jaxik.planning.trajectory_optimiser import TrajectoryResult, optimise_trajectory, trajectory_cost
 from jaxik.planning.trajectory_terms import TrajectoryOptions
 
 __all__ = [
+    "Arc",
     "JointPath",
+    "Mend",
+    "PathOptions",
+    "PathResult",
     "PlanOptions",
     "PlanResult",
     "QueryOptions",
@@ -26,6 +33,7 @@ __all__ = [
     "load_trajectory",
     "optimise_trajectory",
     "plan_motion",
+    "plan_path",
     "save_roadmap",
     "save_trajectory",
     "time_path",

@@ -20,7 +20,9 @@ from jaxik.collision.clearances import has_geometry
 from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.files.targets import load_targets
+from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import FAULTS, Poses
+from jaxik.ik.solve import solved
 from jaxik.kinematics.joint_turns import TURN
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.tasks import BASE_END, tasks_of
@@ -42,7 +44,7 @@ SPACING = 0.01  # [m] of stations at most
 SLIDING = 5.0  # [rad/m] that the motion of a joint that slides counts for
 ROOM, CUSHION = 3e-3, 1e-3  # [rad, m] from the limits, [m] beyond the margin, that configurations keep for what is between
 FIRST, MOST = 64, 1024  # samples to begin with, and at most
-ENOUGH, MEAN = 60, 120  # candidates of a station, on average, of which every so many-th will do, and that are asked for
+ENOUGH, MEAN = 60, 80  # candidates of a station, on average, of which every so many-th will do, and that are asked for
 FINE, REACH = 37, 1.5  # samples of the fine grid a free value, and how far it reaches, in samples of the coarse one
 SEVERAL = 9  # of each of two free values
 SLACK = 1.0  # by which a joint may move further on the coarse grid, of a sample's root: as far are two branches that meet
@@ -376,9 +378,17 @@ def _timed(asked: Asked, parts: Sequence[Proven], whole: Joined, mends: Any) -> 
 
 
 def _mended(asked: Asked, found: PathResult) -> Any:
-    from jaxik.planning.tool_mend import mend
+    from jaxik.planning.tool_mend import mend  # which solves paths itself
 
     return mend(asked, found)
+
+
+def postures(asked: Asked, poses: np.ndarray) -> np.ndarray:
+    """Whether `solve_ik` finds a posture of each pose (P, 4, 4), for a robot without a closed form."""
+    follow = asked.follow
+    options = IKOptions(margin=asked.options.margin)
+    found = solved(follow.robot, Poses.of(poses, follow.tasks), asked.scene, asked.seed, options, tasks=follow.tasks)
+    return found.success
 
 
 # --------------------------------------------------------------------------------------------------------------------

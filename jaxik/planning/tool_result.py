@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
@@ -26,7 +25,7 @@ HELP = {
 
 class Arc(NamedTuple):
     """A part of a path that cannot be done: the numbers of its first and last pose, from where to where on the path that is
-    [m], the reason, and its words."""
+    [m], the reason, its words, and of one that is too fast by how many times a joint's limit."""
 
     first: int
     last: int
@@ -34,6 +33,7 @@ class Arc(NamedTuple):
     end: float
     reason: Reason
     words: str
+    amount: float = float("nan")
 
     def __str__(self) -> str:
         return f"poses {self.first} to {self.last} ({self.begin:.4g} to {self.end:.4g} m): {self.words}"
@@ -102,8 +102,3 @@ class PathResult(Result):
 
     def _by_row(self) -> dict[str, Any]:
         return {name: value for name, value in super()._by_row().items() if name not in ("arcs", "mends")}
-
-
-def without(result: PathResult, **changes: Any) -> PathResult:
-    """The result with other fields."""
-    return dataclasses.replace(result, **changes)

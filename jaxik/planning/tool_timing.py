@@ -55,7 +55,7 @@ class Timing(NamedTuple):
             worst = rows[int(np.argmax(need[rows].max(axis=1)))]
             joint = int(np.argmax(need[worst]))
             words = f"{robot.joint_names[joint]} is too slow for the feed, by {need[worst, joint]:.3g} times its limit"
-            yield Arc(*line.span(begin, end), float(begin), float(end), Reason.TOO_FAST, words)
+            yield Arc(*line.span(begin, end), float(begin), float(end), Reason.TOO_FAST, words, float(need[worst, joint]))
 
 
 def timed_tool(
