@@ -44,11 +44,16 @@ class Steps(NamedTuple):
 
 class Chosen(NamedTuple):
     """The number (M,) of the candidate at each station, among all; before which stations (M,) the way breaks; and its cost
-    without the breaks [rad]."""
+    [rad]."""
 
     number: np.ndarray
     breaks: np.ndarray
-    cost: float
+    total: float
+
+    @property
+    def cost(self) -> float:
+        """The cost without that of the breaks [rad]."""
+        return self.total - BREAK * float(self.breaks.sum())
 
 
 class Edges(NamedTuple):
@@ -81,7 +86,7 @@ def chosen(q: np.ndarray, first: np.ndarray, steps: Steps) -> Chosen:
         breaks[i] = not len(totals) or totals.min() > lowest[i - 1] + BREAK
         before = slice(first[i - 1], first[i])
         number[i - 1] = before.start + np.argmin(cost[before]) if breaks[i] else edges.source[some][np.argmin(totals)]
-    return Chosen(number, breaks, float(cost[number[-1]] - BREAK * breaks.sum()))
+    return Chosen(number, breaks, float(cost[number[-1]]))
 
 
 def edges_of(q: np.ndarray, first: np.ndarray, steps: Steps) -> Edges:

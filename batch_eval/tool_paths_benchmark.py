@@ -1,0 +1,197 @@
+"""Tool paths: `python batch_eval/tool_paths_benchmark.py --paths FOLDER --panda FOLDER [--tesseract FOLDER]`.
+
+Needs `pip install -e ".[test,peers]"`. Prints, and writes `batch_eval/tool_paths_benchmark.json`. `--paths` holds the problems of
+CppFlow (`setups/tool_paths.py`), `--panda` the robot of MotionBenchMaker (`setups/motionbenchmaker.py`); `--tesseract` a folder
+with the wheel of `tesseract-robotics`, whose Descartes is then asked for the same paths. Motions are judged from outside: the tip
+by Pinocchio at each pose and at moments between, against the straight line between poses; collision by coal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from peers.collision_peers import Coal
+from race import clocked, machine
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial.transform import Rotation
+from setups import motionbenchmaker, tool_paths
+
+import jaxik
+from jaxik.planning import tool_choice
+from jaxik.planning.tool_choice import Steps
+
+TIP = "panda_hand"
+BETWEEN = 16  # moments from one pose to the next, at which the tip is judged
+FREE = 4  # of these, at which coal is asked
+TOUCH = 1e-6  # [m] that float32 does not tell from contact
+ROWS, ROW, HEIGHT = 50, 100, 0.004  # the raster: rows, poses of each, distance of poses and rows [m]
+REPEATS = 5
+MENDED = 50
+
+
+def judged(coal: Coal, tip: str, problem: tool_paths.ToolPath, found: Any) -> dict[str, Any]:
+    """How far the tip is off at the poses and between them, whether anything collides, and the greatest steps."""
+    at = np.asarray(found.at)
+    times = np.unique(np.concatenate([np.linspace(a, b, BETWEEN + 1) for a, b in zip(at, at[1:], strict=False)]))
+    q = found.trajectory.at_times(times).q
+    exact = found.trajectory.at_times(at).q
+    steps = np.abs(np.diff(exact, axis=0))
+    free = coal.clearance(problem.scene, q[:: BETWEEN // FREE])
+    return {
+        "at_poses": off(coal, tip, exact, problem.poses[:, None], exact=True),
+        "between": off(coal, tip, q, problem.poses, exact=False),
+        "clearance_mm": 1e3 * float(free.min()),
+        "free": bool(free.min() >= -TOUCH),
+        "step_deg": float(np.degrees(steps.max())),
+    }
+
+
+def tips(coal: Coal, tip: str, q: np.ndarray) -> np.ndarray:
+    """The poses (b, 4, 4) of a link, by Pinocchio."""
+    number, found = coal.model.getFrameId(tip), np.empty((len(q), 4, 4))
+    for i, row in enumerate(coal.whole(q)):
+        pin.framesForwardKinematics(coal.model, coal.data, row)
+        found[i] = coal.data.oMf[number].homogeneous
+    return found
+
+
+def off(coal: Coal, tip: str, q: np.ndarray, poses: np.ndarray, exact: bool) -> tuple[float, float]:
+    """The most that the tip is off, in place and turn [mm, deg]: each of its own pose, or of the nearest on any straight line
+    between neighbours."""
+    at = tips(coal, tip, q)
+    if exact:
+        wanted = poses[:, 0]
+        return _apart(at, wanted[:, :3, 3], Rotation.from_matrix(wanted[:, :3, :3]))
+    first, way = poses[:-1, :3, 3], np.diff(poses[:, :3, 3], axis=0)
+    turns = (Rotation.from_matrix(poses[1:, :3, :3]) * Rotation.from_matrix(poses[:-1, :3, :3]).inv()).as_rotvec()
+    square = np.maximum(np.sum(way**2, axis=1), 1e-12)
+    share = np.clip(np.einsum("bkx,kx->bk", at[:, None, :3, 3] - first, way) / square, 0.0, 1.0)
+    far = np.linalg.norm(at[:, None, :3, 3] - first - share[..., None] * way, axis=2)
+    best = np.argmin(far, axis=1)
+    share = share[np.arange(len(best)), best]
+    wanted = Rotation.from_rotvec(share[:, None] * turns[best]) * Rotation.from_matrix(poses[best, :3, :3])
+    return _apart(at, first[best] + share[:, None] * way[best], wanted)
+
+
+def _apart(at: np.ndarray, places: np.ndarray, turns: Rotation) -> tuple[float, float]:
+    away = np.linalg.norm(at[:, :3, 3] - places, axis=1)
+    turned = (Rotation.from_matrix(at[:, :3, :3]) * turns.inv()).magnitude()
+    return 1e3 * float(away.max()), float(np.degrees(turned.max()))
+
+
+def among_boxes(paths: Path, panda: Path) -> list[dict[str, Any]]:
+    """The paths of CppFlow, each timed once warm, as fast as the limits allow and at a feed."""
+    robot, rows = motionbenchmaker.load_robot(panda, TIP), []
+    coal = Coal(robot, *motionbenchmaker.files(panda), posture=motionbenchmaker.posture(panda, robot))
+    for problem in tool_paths.problems(paths):
+        run = lambda problem=problem, **how: jaxik.plan_path(robot, problem.poses, scene=problem.scene, **how)
+        run()
+        times = [clocked(run)[1] for _ in range(REPEATS)]
+        found, fed = run(), run(feed=0.1)
+        row = {
+            "name": problem.name,
+            "poses": len(problem.poses),
+            "path_m": float(found.s[-1]),
+            "solved": bool(found),
+            "seconds": float(np.median(times)),
+            "slowest_s": float(np.max(times)),
+        }
+        if found:
+            row |= judged(coal, TIP, problem, found)
+            row |= {
+                "length_rad": found.length,
+                "duration_s": found.duration,
+                "feed_duration_s": fed.duration,
+                "lifts": len(found.lifts),
+                "proven": [1e3 * float(found.off[0]), float(np.degrees(found.off[1]))],
+            }
+        rows.append(row)
+        print(json.dumps(row), flush=True)
+    return rows
+
+
+def raster(rows: int = ROWS, count: int = ROW) -> np.ndarray:
+    """Poses of a raster on a table, the tool pointing down, there and back."""
+    down = np.diag([1.0, -1.0, -1.0])
+    poses = np.tile(np.eye(4), (rows * count, 1, 1))
+    for i in range(rows):
+        along = HEIGHT * (np.arange(count) - 0.5 * count)
+        some = slice(i * count, (i + 1) * count)
+        poses[some, 0, 3] = 0.35 + HEIGHT * i
+        poses[some, 1, 3] = along if i % 2 == 0 else along[::-1]
+        poses[some, 2, 3] = 0.2
+    poses[:, :3, :3] = down
+    return poses
+
+
+def large_raster() -> dict[str, Any]:
+    """A raster by an arm of six joints, whose tool may turn about its axis."""
+    robot, poses = jaxik.load("ur5e"), raster()
+    run = lambda: jaxik.plan_path(robot, poses, task=jaxik.Task.pose(free=("yaw",)), feed=0.1)
+    run()
+    found, seconds = clocked(run)
+    return {
+        "robot": robot.name,
+        "poses": len(poses),
+        "solved": bool(found),
+        "seconds": seconds,
+        "length_rad": found.length,
+        "lifts": len(found.lifts),
+        "duration_s": found.duration,
+    }
+
+
+def against_dijkstra(count: int = 20) -> dict[str, Any]:
+    """The cost of the choice beside Dijkstra's over the whole graph, by SciPy."""
+    rng, worst = np.random.default_rng(0), 0.0
+    for _ in range(count):
+        stations = int(rng.integers(5, 15))
+        sizes = rng.integers(3, 20, stations)
+        first = np.concatenate([[0], np.cumsum(sizes)])
+        q = rng.uniform(-1.0, 1.0, (first[-1], 6))
+        steps = Steps(rng.uniform(0.5, 2.0, 6), np.full(6, rng.uniform(0.8, 2.0)), np.zeros(6, bool))
+        worst = max(worst, abs(tool_choice.chosen(q, first, steps).total - dijkstra_cost(q, first, steps)))
+    return {"cases": count, "most_apart": worst}
+
+
+def dijkstra_cost(q: np.ndarray, first: np.ndarray, steps: Steps) -> float:
+    """The cost of the cheapest way from any candidate of the first station to any of the last, a break at its price."""
+    count = len(q)
+    rows, columns, costs = [], [], []
+    for i in range(1, len(first) - 1):
+        for a in range(first[i - 1], first[i]):
+            for b in range(first[i], first[i + 1]):
+                moved = steps.between(q[a], q[b])
+                near = bool((np.abs(moved) <= steps.most).all())
+                rows.append(a)
+                columns.append(b)
+                costs.append(float(steps.costs(moved)) if near else tool_choice.BREAK)
+    source, sink = count, count + 1
+    for a in range(first[0], first[1]):
+        rows, columns, costs = [*rows, source], [*columns, a], [*costs, 1e-12]
+    for b in range(first[-2], first[-1]):
+        rows, columns, costs = [*rows, b], [*columns, sink], [*costs, 1e-12]
+    graph = csr_matrix((costs, (rows, columns)), shape=(count + 2, count + 2))
+    return float(dijkstra(graph, indices=source)[sink])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--paths", type=Path, required=True)
+    parser.add_argument("--panda", type=Path, required=True)
+    parser.add_argument("--tesseract", type=Path)
+    asked = parser.parse_args()
+    result = {"machine": machine(), "dijkstra": against_dijkstra(), "raster": large_raster()}
+    print(json.dumps(result), flush=True)
+    result["paths"] = among_boxes(asked.paths, asked.panda)
+    Path(__file__).with_suffix(".json").write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
