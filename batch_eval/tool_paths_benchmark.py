@@ -147,6 +147,38 @@ def large_raster() -> dict[str, Any]:
     }
 
 
+def mended(count: int = MENDED) -> dict[str, Any]:
+    """Random paths that cannot be done, a line that leaves the reach or one through a box: the reason of each, whether a mend was
+    found, and whether the path moved so, or fed so, is done when it is asked for anew."""
+    rng, robot, rows = np.random.default_rng(0), jaxik.load("panda"), []
+    while len(rows) < count:
+        q = rng.uniform(0.8 * robot.lower, 0.8 * robot.upper)
+        start = np.asarray(jaxik.forward_kinematics(robot, q), float)
+        poses = np.tile(start, (40, 1, 1))
+        way = rng.normal(size=3)
+        poses[:, :3, 3] += np.linspace(0.0, 1.0, 40)[:, None] * way / np.linalg.norm(way) * rng.uniform(0.1, 0.6)
+        kind, scene, options = ("reach", "box", "feed")[len(rows) % 3], None, {}
+        if kind == "box":
+            frame = np.eye(4)
+            frame[:3, 3] = poses[20, :3, 3] + rng.normal(size=3) * 0.02
+            scene = jaxik.make_scene(boxes=[(frame, [0.06, 0.06, 0.06])])
+        if kind == "feed":
+            options = {"feed": float(rng.uniform(1.0, 4.0)), "keep_feed": True}
+        found = jaxik.plan_path(robot, poses, scene=scene, reconfigure=False, **options)
+        if found or (kind == "feed") != (str(found.reason) == "too fast"):
+            continue
+        mend, seconds = clocked(lambda found=found: found.mend)
+        works = False
+        if mend is not None:
+            again = options | ({} if mend.feed is None else {"feed": mend.feed})
+            again |= {"reconfigure": mend.kind == "reconfigure"}
+            works = bool(jaxik.plan_path(robot, mend.transform @ poses, scene=scene, **again))
+        rows.append({"kind": kind, "why": str(found.why), "mend": str(mend), "works": works, "seconds": seconds})
+        print(rows[-1], flush=True)
+    told = [row for row in rows if row["mend"] != "None"]
+    return {"cases": len(rows), "told": len(told), "work": sum(row["works"] for row in told), "seconds": float(np.median([row["seconds"] for row in rows])), "rows": rows}
+
+
 def against_dijkstra(count: int = 20) -> dict[str, Any]:
     """The cost of the choice beside Dijkstra's over the whole graph, by SciPy."""
     rng, worst = np.random.default_rng(0), 0.0

@@ -43,9 +43,10 @@ from jaxik.reasons import Reason
 SPACING = 0.01  # [m] of stations at most
 SLIDING = 5.0  # [rad/m] that the motion of a joint that slides counts for
 ROOM, CUSHION = 3e-3, 1e-3  # [rad, m] from the limits, [m] beyond the margin, that configurations keep for what is between
-FIRST, MOST = 64, 1024  # samples to begin with, and at most
-ENOUGH, MEAN = 60, 80  # candidates of a station, on average, of which every so many-th will do, and that are asked for
-FINE, REACH = 37, 1.5  # samples of the fine grid a free value, and how far it reaches, in samples of the coarse one
+FIRST, LEAST, MOST = 64, 8, 1024  # samples to begin with, at least, and at most
+TOLD = 50  # stations by which the number of samples is told
+MEAN, ENOUGH = 100, 50  # candidates of a station that are asked for, on average; and where there are more anyway
+FINE, REACH = 25, 1.5  # samples of the fine grid a free value, and how far it reaches, in samples of the coarse one
 SEVERAL = 9  # of each of two free values
 SLACK = 1.0  # by which a joint may move further on the coarse grid, of a sample's root: as far are two branches that meet
 AGAIN = 4  # times that candidates are chosen anew without those that prove to be none
@@ -252,35 +253,16 @@ def _coarse(asked: Asked, poses: np.ndarray) -> tuple[Candidates, int]:
     free, options = asked.free, asked.options
     assert free is not None
     ask = lambda count, rows, room=(ROOM, CUSHION): candidates(free, asked.space, rows, free.grid(count), room)
-    if options.samples is not None or not len(free.lower):
-        count = options.samples or 1
-        found = ask(count, poses)
-    else:
-        count = FIRST
-        found = ask(count, poses)
-        mean = max(1.0, len(found.q) / len(poses))
-        if (thin := int(mean / ENOUGH)) > 1:
-            found, count = _thinned(free, found, count, thin)
-        more = int(np.clip(count * MEAN / mean, FIRST, MOST // 2))
-        if more > 1.2 * count:
-            count, found = more, ask(more, poses)
+    count = options.samples or 1
+    if options.samples is None and len(free.lower):
+        some = poses[:: max(1, len(poses) // TOLD)]
+        mean = max(1.0, len(ask(FIRST, some).q) / len(some))
+        count = int(np.clip(FIRST * (MEAN if mean < MEAN else ENOUGH) / mean, LEAST, MOST // 2))
+    found = ask(count, poses)
     if (lost := np.flatnonzero(found.reason != Reason.SOLVED)).size:
         closer = ask(4 * count, poses[lost], (0.0, 0.0))
         found = _replaced(found, lost, closer)
     return found, count
-
-
-def _thinned(free: Free, found: Candidates, count: int, every: int) -> tuple[Candidates, int]:
-    """Every so many-th sample of a grid of one free value, and how many samples these are."""
-    if len(free.lower) != 1:
-        return found, count
-    spacing = free.spacing(count)[0]
-    kept = np.round((found.values[:, 0] - free.lower[0]) / spacing).astype(int) % every == 0
-    station = np.repeat(np.arange(len(found.reason)), np.diff(found.first))
-    lone = np.bincount(station[kept], minlength=len(found.reason)) == 0
-    kept |= lone[station]
-    first = np.searchsorted(station[kept], np.arange(len(found.reason) + 1))
-    return Candidates(found.q[kept], found.values[kept], first, found.reason), count // every
 
 
 def _replaced(found: Candidates, rows: np.ndarray, others: Candidates) -> Candidates:
