@@ -1,14 +1,15 @@
-"""Tool paths: `python batch_eval/tool_paths_benchmark.py --paths FOLDER --panda FOLDER [--tesseract FOLDER]`.
+"""Tool paths: `python batch_eval/tool_paths_benchmark.py --paths FOLDER --panda FOLDER [--mends 50]`.
 
-Needs `pip install -e ".[test,peers]"`. Prints, and writes `batch_eval/tool_paths_benchmark.json`. `--paths` holds the problems of
-CppFlow (`setups/tool_paths.py`), `--panda` the robot of MotionBenchMaker (`setups/motionbenchmaker.py`); `--tesseract` a folder
-with the wheel of `tesseract-robotics`, whose Descartes is then asked for the same paths. Motions are judged from outside: the tip
-by Pinocchio at each pose and at moments between, against the straight line between poses; collision by coal.
+Needs `pip install -e ".[test,peers]"`. Prints, and writes `batch_eval/tool_paths_benchmark.json`. `--paths` holds the problems
+of CppFlow (`setups/tool_paths.py`), `--panda` the robot of MotionBenchMaker (`setups/motionbenchmaker.py`). Motions are judged
+from outside: the tip by Pinocchio at each pose and at moments between, against the straight line between poses; collision by
+coal.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -32,13 +33,12 @@ FREE = 4  # of these, at which coal is asked
 TOUCH = 1e-6  # [m] that float32 does not tell from contact
 ROWS, ROW, HEIGHT = 50, 100, 0.004  # the raster: rows, poses of each, distance of poses and rows [m]
 REPEATS = 5
-MENDED = 50
 
 
 def judged(coal: Coal, tip: str, problem: tool_paths.ToolPath, found: Any) -> dict[str, Any]:
     """How far the tip is off at the poses and between them, whether anything collides, and the greatest steps."""
     at = np.asarray(found.at)
-    times = np.unique(np.concatenate([np.linspace(a, b, BETWEEN + 1) for a, b in zip(at, at[1:], strict=False)]))
+    times = np.unique(np.concatenate([np.linspace(a, b, BETWEEN + 1) for a, b in itertools.pairwise(at)]))
     q = found.trajectory.at_times(times).q
     exact = found.trajectory.at_times(at).q
     steps = np.abs(np.diff(exact, axis=0))
@@ -147,8 +147,8 @@ def large_raster() -> dict[str, Any]:
     }
 
 
-def mended(count: int = MENDED) -> dict[str, Any]:
-    """Random paths that cannot be done, a line that leaves the reach or one through a box: the reason of each, whether a mend was
+def mended(count: int) -> dict[str, Any]:
+    """Random paths that cannot be done, lines that leave the reach or go through a box: the reason of each, whether a mend was
     found, and whether the path moved so, or fed so, is done when it is asked for anew."""
     rng, robot, rows = np.random.default_rng(0), jaxik.load("panda"), []
     while len(rows) < count:
@@ -176,7 +176,13 @@ def mended(count: int = MENDED) -> dict[str, Any]:
         rows.append({"kind": kind, "why": str(found.why), "mend": str(mend), "works": works, "seconds": seconds})
         print(rows[-1], flush=True)
     told = [row for row in rows if row["mend"] != "None"]
-    return {"cases": len(rows), "told": len(told), "work": sum(row["works"] for row in told), "seconds": float(np.median([row["seconds"] for row in rows])), "rows": rows}
+    return {
+        "cases": len(rows),
+        "told": len(told),
+        "work": sum(row["works"] for row in told),
+        "seconds": float(np.median([row["seconds"] for row in rows])),
+        "rows": rows,
+    }
 
 
 def against_dijkstra(count: int = 20) -> dict[str, Any]:
@@ -217,11 +223,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--paths", type=Path, required=True)
     parser.add_argument("--panda", type=Path, required=True)
-    parser.add_argument("--tesseract", type=Path)
+    parser.add_argument("--mends", type=int, default=0, help="of paths that cannot be done")
     asked = parser.parse_args()
     result = {"machine": machine(), "dijkstra": against_dijkstra(), "raster": large_raster()}
     print(json.dumps(result), flush=True)
     result["paths"] = among_boxes(asked.paths, asked.panda)
+    if asked.mends:
+        result["mended"] = mended(asked.mends)
     Path(__file__).with_suffix(".json").write_text(json.dumps(result, indent=1) + "\n")
 
 

@@ -1,5 +1,5 @@
-"""The commands: `jaxik harvest`, `jaxik ik`, `jaxik plan`, `jaxik dynamics`, `jaxik sweep`, `jaxik base`, `jaxik fit`,
-`jaxik view`."""
+"""The commands: `jaxik harvest`, `jaxik ik`, `jaxik plan`, `jaxik path`, `jaxik dynamics`, `jaxik sweep`, `jaxik base`,
+`jaxik fit`, `jaxik view`."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from jaxik.cli.dynamics import DynamicsArguments
 from jaxik.cli.fit import FitArguments
 from jaxik.cli.harvest import HarvestArguments
 from jaxik.cli.ik import IKArguments
+from jaxik.cli.path import PathArguments
 from jaxik.cli.plan import PlanArguments
 from jaxik.cli.sweep import SweepArguments
 from jaxik.cli.terminal import STOPPED, Unsolved, interrupt_surely
@@ -37,6 +38,7 @@ COMMANDS = {
     "harvest": HarvestArguments,
     "ik": IKArguments,
     "plan": PlanArguments,
+    "path": PathArguments,
     "dynamics": DynamicsArguments,
     "sweep": SweepArguments,
     "base": BaseArguments,

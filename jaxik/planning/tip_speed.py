@@ -1,8 +1,8 @@
-"""Limits of the tip's speed in the timing of a path: how far the tip has come is one more joint of it, with a limit of its own.
+"""Limits of the tip's speed in the timing of a path: how far the tip has come is one more joint, with a limit of its own.
 
-Along q(s) the tip moves by |p'(s)| and turns by |omega(s)| a unit of s. The cubic spline a(s) with the greatest slopes about its
-knots is a coordinate like a joint's, and `|a'| ds/dt <= limit` is what every timing keeps of a joint. It is drawn up by the most
-that the slopes between its knots exceed its own.
+Along q(s) the tip moves by |p'(s)| and turns by |omega(s)| a unit of s. The cubic spline a(s) with the greatest slopes about
+its knots is a coordinate like a joint's, and `|a'| ds/dt <= limit` is what every timing keeps of a joint. It is drawn up by the
+most that the slopes between its knots exceed its own.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def _slopes(robot: Robot, tip: int, path: JointPath) -> np.ndarray:
     return tip_rates(robot, tip, rows(q), rows(slope)).reshape(*q.shape[:2], 2)
 
 
-def tip_rates(robot: Robot, tip: int, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
+def tip_rates(robot: Robot, tip: int, q: Any, rate: Any) -> np.ndarray:
     """How fast a tip moves and turns (b, 2) [m, rad] at such configurations and rates of the joints (b, n)."""
     return in_blocks(_speeds(robot, tip), q, rate, double=True)[0]
 

@@ -53,7 +53,9 @@ class Free(NamedTuple):
         """The free values. `obstacle` has said that there are such."""
         form, axes = redundancy(robot), tuple(i for i in range(3) if not task.bound[3 + i])
         turns = np.full(len(axes), np.pi)
-        whole = (form.upper - form.lower >= TURN - 1e-6) & np.array([name not in robot.joint_names for name in form.names], bool)
+        whole = (form.upper - form.lower >= TURN - 1e-6) & np.array(
+            [name not in robot.joint_names for name in form.names], bool
+        )
         around = np.concatenate([whole, np.ones(len(axes), bool)])
         lower, upper = np.concatenate([form.lower, -turns]), np.concatenate([form.upper, turns])
         return Free(robot, lower, upper, around, len(form.names), axes, task.axes == "tool")
@@ -76,7 +78,7 @@ class Free(NamedTuple):
         k = len(self.lower)
         if not k:
             return np.zeros((1, 0))
-        each = max(2, int(round(count * SHARES[0] if k == 1 else count * SHARES[1])))
+        each = max(2, round(count * SHARES[0] if k == 1 else count * SHARES[1]))
         axes = [
             low + (high - low) * np.arange(each) / (each if around else each - 1)
             for low, high, around in zip(self.lower, self.upper, self.round, strict=True)
@@ -86,7 +88,7 @@ class Free(NamedTuple):
     def spacing(self, count: int) -> np.ndarray:
         """The distance (k,) between neighbours of `grid`."""
         k = len(self.lower)
-        each = max(2, int(round(count * SHARES[0] if k == 1 else count * SHARES[1])))
+        each = max(2, round(count * SHARES[0] if k == 1 else count * SHARES[1]))
         return (self.upper - self.lower) / np.where(self.round, each, each - 1) if k else np.zeros(0)
 
     def about(self, values: np.ndarray, spacing: np.ndarray, reach: float, each: int) -> np.ndarray:
@@ -153,7 +155,9 @@ class Ends(NamedTuple):
     station: np.ndarray
 
 
-def _ends(free: Free, poses: np.ndarray, values: np.ndarray, inside: np.ndarray, within: Callable[[np.ndarray], np.ndarray]) -> Ends:
+def _ends(
+    free: Free, poses: np.ndarray, values: np.ndarray, inside: np.ndarray, within: Callable[[np.ndarray], np.ndarray]
+) -> Ends:
     """The last candidates of branches that end between two samples (M, S): where two of them meet the arm goes from one to the
     other, and what moves as a root there is far apart at the samples."""
     station, before, branch = np.nonzero(inside[:, 1:] != inside[:, :-1])

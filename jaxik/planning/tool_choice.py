@@ -100,7 +100,8 @@ def edges_of(q: np.ndarray, first: np.ndarray, steps: Steps) -> Edges:
     apart = 4.0 * (np.ptp(key) + most) + 1.0  # by which the keys of one station lie after those of the one before it
     order = np.lexsort((key, station))
     placed, wanted = (key + apart * station)[order], key + apart * (station - 1)
-    low, high = (np.searchsorted(placed, wanted + sign * most * (1.0 + 1e-9), side) for sign, side in ((-1, "left"), (1, "right")))
+    reach = most * (1.0 + 1e-9)
+    low, high = np.searchsorted(placed, wanted - reach, "left"), np.searchsorted(placed, wanted + reach, "right")
     counts = high - low
     counts[: first[1]] = 0
     parts, ends = [], np.concatenate([[0], np.cumsum(counts)])

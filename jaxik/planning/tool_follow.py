@@ -24,7 +24,6 @@ from jaxik.kinematics.tasks import Tasks
 from jaxik.optimise.linear import column, definite_solve, dot
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.tool_choice import Steps
-from jaxik.spatial.algebra import traced
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
@@ -103,7 +102,9 @@ class Followed(NamedTuple):
         short = np.minimum(inside, 0.0)
         near = self._clearances(q) - self.cushion - ABOVE - (0.0 if self.space is None else float(self.space.margin))
         moved = self.steps.weights * np.diff(q, axis=0)
-        cost = np.sum(moved**2 / np.diff(s)[:, None]) + STIFF[0] * np.sum(short**2) + STIFF[1] * np.sum(np.minimum(near, 0.0) ** 2)
+        cost = (
+            np.sum(moved**2 / np.diff(s)[:, None]) + STIFF[0] * np.sum(short**2) + STIFF[1] * np.sum(np.minimum(near, 0.0) ** 2)
+        )
         return float(cost), (inside, near)
 
     def _basis(self, q: np.ndarray, poses: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ and it comes back the same way.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -43,20 +44,23 @@ def joined(
 ) -> Joined | Arc:
     """The parts with the motions between them, or where there is none."""
     pieces, tool, begins, length = [parts[0].path], [np.ones(len(parts[0].path.lengths), bool)], [0.0], 0.0
-    for before, after in zip(parts, parts[1:], strict=False):
-        away, back = _lifted(follow, before.q[-1], line, before.s[-1], options.lift), _lifted(
-            follow, after.q[0], line, after.s[0], options.lift
+    for before, after in itertools.pairwise(parts):
+        away, back = (
+            _lifted(follow, before.q[-1], line, before.s[-1], options.lift),
+            _lifted(follow, after.q[0], line, after.s[0], options.lift),
         )
         moved = plan_motion(follow.robot, away[-1], back[-1], scene=scene, seed=seed, margin=options.margin)
         if not moved:
-            first, last = line.span( before.s[-1], after.s[0])
-            words = f"the tool would have to lift off and come back in another posture, and no motion there was found: {moved.why}"
+            first, last = line.span(before.s[-1], after.s[0])
+            words = (
+                f"the tool would have to lift off and come back in another posture, and no motion there was found: {moved.why}"
+            )
             return Arc(first, last, float(before.s[-1]), float(after.s[0]), Reason.SINGULAR, words)
         between = straight(np.concatenate([away, moved.waypoints[1:-1], back[::-1]]))
         pieces += [between, after.path]
         tool += [np.zeros(len(between.lengths), bool), np.ones(len(after.path.lengths), bool)]
-    for before, between in zip(pieces[:-1:2], pieces[1::2], strict=False):
-        length += float(np.sum(before.lengths) + np.sum(between.lengths))
+    for on, off in zip(pieces[:-1:2], pieces[1::2], strict=True):
+        length += float(np.sum(on.lengths) + np.sum(off.lengths))
         begins.append(length)
     lengths = np.concatenate([np.asarray(piece.lengths) for piece in pieces])
     curves = np.concatenate([np.asarray(piece.coefficients) for piece in pieces])

@@ -1,6 +1,6 @@
 """The path of a tool as a line of poses: straight from each pose to the next, turning about one axis by the shorter way.
 
-It is measured by s, the length of a step being `sqrt(|dp|^2 + (RADIUS |turn|)^2)`, so that a turn on the spot has a length, too.
+Lengths along it are s: that of a step is `sqrt(|dp|^2 + (RADIUS |turn|)^2)`, so that a turn on the spot has one, too.
 """
 
 from __future__ import annotations
@@ -58,7 +58,9 @@ class ToolLine(NamedTuple):
         if turned.any():
             from scipy.spatial.transform import Rotation
 
-            found[turned, :3, :3] = Rotation.from_rotvec((share * self.turns[piece])[turned]).as_matrix() @ found[turned, :3, :3]
+            found[turned, :3, :3] = (
+                Rotation.from_rotvec((share * self.turns[piece])[turned]).as_matrix() @ found[turned, :3, :3]
+            )
         return found
 
     def slopes(self, piece: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.planning import tool_path
+from jaxik.planning import tool_solve
 from jaxik.planning.tool_candidates import candidates
 from jaxik.planning.tool_result import Mend, PathResult
 from jaxik.reasons import Reason
@@ -37,13 +37,13 @@ class _Kind(NamedTuple):
     words: Callable[[np.ndarray, float], str]
 
 
-def mend(asked: tool_path.Asked, found: PathResult) -> Mend | None:
+def mend(asked: tool_solve.Asked, found: PathResult) -> Mend | None:
     """The least change that was found; None where none was."""
     if found.reason == Reason.TOO_FAST:
         return _slower(asked, found)
     if found.reason == Reason.SINGULAR and not asked.options.reconfigure:
         options = asked.options.changed({"reconfigure": True})
-        if tool_path.solve(asked.moved(np.eye(4), options)):
+        if tool_solve.solve(asked.moved(np.eye(4), options)):
             return Mend("reconfigure", 0.0, np.eye(4), None, "reconfigure=True lets the whole path be done")
     if found.reason not in (Reason.OUT_OF_REACH, Reason.LIMITS, Reason.COLLISION):
         return None
@@ -55,19 +55,19 @@ def mend(asked: tool_path.Asked, found: PathResult) -> Mend | None:
     return min(each, key=size, default=None)
 
 
-def _slower(asked: tool_path.Asked, found: PathResult) -> Mend | None:
+def _slower(asked: tool_solve.Asked, found: PathResult) -> Mend | None:
     """The greatest feed that is kept everywhere."""
     feed = float(asked.options.feed or 0.0)
     for _ in range(HALVINGS):
         need = max((arc.amount for arc in found.arcs), default=1.0)
         feed *= SLOWER / need
-        found = tool_path.solve(asked.moved(np.eye(4), asked.options.changed({"feed": feed})))
+        found = tool_solve.solve(asked.moved(np.eye(4), asked.options.changed({"feed": feed})))
         if found:
             return Mend("feed", feed, np.eye(4), feed, f"a feed of {feed:.4g} m/s is kept all along the path")
     return None
 
 
-def _looked_at(asked: tool_path.Asked, found: PathResult) -> np.ndarray:
+def _looked_at(asked: tool_solve.Asked, found: PathResult) -> np.ndarray:
     """Some poses (P, 4, 4) of the whole path, and some of what cannot be done."""
     line = asked.line
     some = np.linspace(0.0, line.length, LOOKED_AT)
@@ -97,25 +97,26 @@ def _tilt(middle: np.ndarray) -> _Kind:
 
     def words(direction: np.ndarray, size: float) -> str:
         place, axis = ("({:.3g}, {:.3g}, {:.3g})".format(*x) for x in (middle, direction))
-        return f"a tilt of the path by {np.degrees(size):.3g} deg about the axis {axis} through {place} lets the whole of it be done"
+        told = f"a tilt of the path by {np.degrees(size):.3g} deg about the axis {axis} through {place}"
+        return f"{told} lets the whole of it be done"
 
     return _Kind("tilt", TILTS, moved, words)
 
 
-def _least(asked: tool_path.Asked, kind: _Kind, poses: np.ndarray) -> Mend | None:
+def _least(asked: tool_solve.Asked, kind: _Kind, poses: np.ndarray) -> Mend | None:
     """The least change of a kind that was found, and tried on the whole path."""
     directions, before = _all_round(AROUND), 0.0
     for size in kind.sizes:
         fits = np.flatnonzero(_fits(asked, poses, [kind.transform(way, size) for way in directions]))
-        if len(fits):
-            if (best := _tried(asked, kind, poses, directions[fits], before, float(size))) is not None:
-                return best
+        best = _tried(asked, kind, poses, directions[fits], before, float(size)) if len(fits) else None
+        if best is not None:
+            return best
         before = float(size)
     return None
 
 
 def _tried(
-    asked: tool_path.Asked, kind: _Kind, poses: np.ndarray, directions: np.ndarray, low: float, high: float
+    asked: tool_solve.Asked, kind: _Kind, poses: np.ndarray, directions: np.ndarray, low: float, high: float
 ) -> Mend | None:
     """The smallest size between two that passes on the whole path, of the directions of which the larger one may."""
     lower, upper = np.full(len(directions), low), np.full(len(directions), high)
@@ -126,20 +127,20 @@ def _tried(
     for grown in GROWN:
         for i in np.argsort(upper)[:KEPT].tolist():
             transform = kind.transform(directions[i], grown * upper[i])
-            if tool_path.solve(asked.moved(transform)):
+            if tool_solve.solve(asked.moved(transform)):
                 amount = float(grown * upper[i])
                 return Mend(kind.name, amount, transform, None, kind.words(directions[i], amount))
     return None
 
 
-def _fits(asked: tool_path.Asked, poses: np.ndarray, transforms: list[np.ndarray]) -> np.ndarray:
+def _fits(asked: tool_solve.Asked, poses: np.ndarray, transforms: list[np.ndarray]) -> np.ndarray:
     """Whether each of the transforms (K,) leaves a candidate at all of the poses."""
     moved = np.stack(transforms)[:, None] @ poses
-    room = tool_path.ROOM, tool_path.CUSHION
+    room = tool_solve.ROOM, tool_solve.CUSHION
     if asked.free is not None:
         reason = candidates(asked.free, asked.space, moved.reshape(-1, 4, 4), asked.free.grid(SAMPLES), room).reason
-        return (reason.reshape(len(moved), -1) == Reason.SOLVED).all(axis=1)
-    return tool_path.postures(asked, moved.reshape(-1, 4, 4)).reshape(len(moved), -1).all(axis=1)
+        return np.asarray((reason.reshape(len(moved), -1) == Reason.SOLVED).all(axis=1))
+    return np.asarray(tool_solve.postures(asked, moved.reshape(-1, 4, 4)).reshape(len(moved), -1).all(axis=1))
 
 
 def _all_round(count: int) -> np.ndarray:

@@ -18,10 +18,18 @@ class PathOptions(Options, who="plan_path"):
     task: Task = instance(default=POSE, kind=Task, words="what each pose binds: a free axis is one more redundancy")
     margin: float = number(default=0.0, unit="m", words="least clearance on the way")
     feed: float | None = number(
-        default=None, above=0.0, optional=True, unit="m/s", words="speed of the tip along the path; None is as fast as limits allow"
+        default=None,
+        above=0.0,
+        optional=True,
+        unit="m/s",
+        words="speed of the tip along the path; None is as fast as limits allow",
     )
     turn: float | None = number(
-        default=None, above=0.0, optional=True, unit="rad/s", words="the most that the tip turns along the path; None is no limit"
+        default=None,
+        above=0.0,
+        optional=True,
+        unit="rad/s",
+        words="the most that the tip turns along the path; None is no limit",
     )
     keep_feed: bool = flag(
         default=False, words="whether a path on which a joint is too slow for the feed is refused, instead of slowed down there"
@@ -36,11 +44,18 @@ class PathOptions(Options, who="plan_path"):
         default=None, words="weights of the joints' motion, which is made least; None is 1, and of joints that slide 5 rad/m"
     )
     samples: int | None = count(
-        default=None, also=(None,), words="samples of what is free, a seventh joint, a rail, the free axis; None is by their number"
+        default=None,
+        also=(None,),
+        words="samples of what is free, a seventh joint, a rail, the free axis; None is by their number",
     )
-    reconfigure: bool = flag(default=True, words="whether the tool may lift off and come back where the path needs another posture")
+    reconfigure: bool = flag(
+        default=True, words="whether the tool may lift off and come back where the path needs another posture"
+    )
     lift: float = number(
-        default=0.05, least=0.0, unit="m", words="how far it lifts off, against the tool's z, before it moves to another posture"
+        default=0.05,
+        least=0.0,
+        unit="m",
+        words="how far it lifts off, against the tool's z, before it moves to another posture",
     )
     velocity: Any = per_joint(
         default=None, unit="rad/s, m/s", words="limits of velocity, one number or one a joint; None is the robot's"

@@ -59,10 +59,10 @@ def proven(follow: Followed, line: ToolLine, s: np.ndarray, q: np.ndarray, toler
     for number in range(FINER + 1):
         path = spline(s, q)
         off = _off(follow.robot, follow.tasks, bounds, path, line, s, tolerance)
-        wide = (off > tolerance).any(axis=1)
+        wide = np.any(off > tolerance, axis=1)
         outside = _outside(path, follow.lower, follow.upper)
         hit = ~_free(follow.space, path) if follow.space is not None else np.zeros(len(wide), bool)
-        open_ = wide | outside.any(axis=1) | hit
+        open_ = wide | np.any(outside, axis=1) | hit
         halved = np.flatnonzero(open_)
         if not len(halved) or number == FINER:
             break
@@ -125,7 +125,7 @@ def _ends(robot: Robot, tasks: Tasks, q: Any, slope: Any, pose: Any, moving: Any
         if len(task.positions) < 3 and task.axes == "tool":
             apart = target.rotation.T @ apart
         place = [apart[i] for i in task.positions]
-        kept, columns = len(task.rotations), range(3)
+        kept, columns = len(task.rotations), list(range(3))
         if kept == 2:
             columns = [next(i for i in range(3) if i not in task.rotations)]
         seen, wanted = found.rotation, target.rotation
@@ -161,7 +161,7 @@ def _free(space: CollisionChecker, path: JointPath) -> np.ndarray:
     q = np.stack([_at(path, share) for share in np.linspace(0.0, 1.0, CHORDS + 1)])
     rows = lambda x: x.reshape(-1, x.shape[-1])
     free = space.proven(rows(q[:-1]), rows(q[1:]), np.tile(away, CHORDS), CLOSE)
-    return free.reshape(CHORDS, -1).all(axis=0)
+    return np.asarray(free.reshape(CHORDS, -1).all(axis=0))
 
 
 def _outside(path: JointPath, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -170,7 +170,7 @@ def _outside(path: JointPath, lower: np.ndarray, upper: np.ndarray) -> np.ndarra
     cubic, square, linear, constant = np.moveaxis(np.asarray(path.coefficients), 1, 0)
     second = constant + 2.0 / 3.0 * linear * h + square * h**2 / 3.0
     points = np.stack([constant + linear * h / 3.0, second, ((cubic * h + square) * h + linear) * h + constant])
-    return ((points < lower - BEYOND) | (points > upper + BEYOND)).any(axis=0)
+    return np.asarray(((points < lower - BEYOND) | (points > upper + BEYOND)).any(axis=0))
 
 
 def _at(path: JointPath, share: float) -> np.ndarray:

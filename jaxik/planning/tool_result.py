@@ -59,8 +59,8 @@ class PathResult(Result):
     q (N, n): a configuration for each pose of the path, NaN where there is none. at (N,): when each is passed [s].
     trajectory: a `Trajectory`, or None. s (N,): how far along the path each pose is [m]; a turn by a radian counts for 0.1 m.
     off (2,): the most that the tip is off the path between its poses, too, in place and turn [m, rad], proven.
-    length: the joints' motion along the path, lift-offs left out, as the sum of the Euclidean steps between its poses [rad], and
-        `slides` those of joints that slide [m].
+    length: the joints' motion along the path without lift-offs, the sum of the Euclidean steps between its poses [rad], and
+        `slides` that of joints that slide [m].
     largest (2,): the most that a joint turns, and slides, from a pose to the next one [rad, m].
     lifts: the numbers of the poses before which it lifts off and comes back in another posture.
     feed (N,): the tip's speed as each pose is passed [m/s].

@@ -39,10 +39,10 @@ def strands(follow: Followed, space: CollisionChecker | None, poses: np.ndarray,
     at = np.repeat(anchors, found.num_solutions)
     q, there = np.zeros((len(starts), count, starts.shape[1])), np.zeros((len(starts), count), bool)
     for i in np.unique(at):
-        rows = np.flatnonzero(at == i)
-        q[rows, i], there[rows, i] = starts[rows], True
+        own = np.flatnonzero(at == i)
+        q[own, i], there[own, i] = starts[own], True
         for way in (np.arange(i + 1, count), np.arange(i - 1, -1, -1)):
-            q[np.ix_(rows, way)], there[np.ix_(rows, way)] = _along(follow, starts[rows], poses[way])
+            q[np.ix_(own, way)], there[np.ix_(own, way)] = _along(follow, starts[own], poses[way])
     station, strand = np.nonzero(there.T)
     rows = q[strand, station]
     hit = np.zeros(len(rows), bool) if space is None else space.hits(rows, follow.cushion)

@@ -1,4 +1,4 @@
-"""The timing of a motion along a tool's path: at the feed, wherever the joints' limits allow, and as fast as they do between."""
+"""The timing of a motion along a tool's path: at the feed, wherever the joints' limits allow."""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 
 from jaxik.view.base_picture import plot_base_poses
 from jaxik.view.page import Page
+from jaxik.view.path_picture import plot_path
 from jaxik.view.pictures import plot_harvest, plot_harvest_plan, plot_torques
 from jaxik.view.sweep_picture import plot_sweep
 
-__all__ = ["Page", "plot_base_poses", "plot_harvest", "plot_harvest_plan", "plot_sweep", "plot_torques"]
+__all__ = ["Page", "plot_base_poses", "plot_harvest", "plot_harvest_plan", "plot_path", "plot_sweep", "plot_torques"]
