@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import tyro
 
 import jaxik
 from jaxik.cli.arguments import SearchArguments, flags, given
@@ -35,7 +36,7 @@ FLAGS = flags(
 class PathArguments(FLAGS, SearchArguments):
     """A motion whose tip follows a path of poses, proven between them, too, timed at a feed within the joints' limits."""
 
-    path: Path
+    path: tyro.conf.Positional[Path]
     """The poses, in the robot's base (.csv, .npz, .json): x, y, z [m] and qw, qx, qy, qz, a row each."""
     free_axis: Literal["x", "y", "z"] | None = None
     """The tool's axis about which it may turn as it likes."""
