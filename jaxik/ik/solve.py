@@ -347,9 +347,9 @@ def implicit_ik(
     Its derivative is that of the solution that moves on with them: `q` minimises `cost`, and the squares of soft tasks, over
     what the task leaves free, or, without either, moves as little as possible, `dq = -J+ dr`. Joints on their limits stay
     there, regions of a task hold as limits do, and links at `margin` [m] from the scene and from each other; without a scene
-    from each other alone, and with `collision=False` nothing is looked at. `defined` is False where there is no derivative: at a singularity, where `q` is no (or no isolated) solution, where a limit, a region's edge or
-    an obstacle is touched without being pushed against, or where a capsule or triangle of the robot leans on anything but
-    points and spheres. Use float64.
+    from each other alone, and with `collision=False` nothing is looked at. `defined` is False where there is no derivative: at
+    a singularity, where `q` is no (or no isolated) solution, where a limit, a region's edge or an obstacle is touched without
+    being pushed against, or where a capsule or triangle of the robot leans on anything but points and spheres. Use float64.
 
     Raises `ValueError` for a target, q or margin of another shape. Source: Fiacco 1976, through `optimise.implicit`.
     """

@@ -266,7 +266,7 @@ class Task:
     @property
     def turned(self) -> bool:
         """Whether how the target is turned matters beyond the axes of its position."""
-        return bool(self.rotations) and not self.looks or self.function is not None
+        return (bool(self.rotations) and not self.looks) or self.function is not None
 
     @property
     def plain(self) -> bool:
@@ -394,7 +394,10 @@ class Task:
     def rows(self, columns: list[tuple[Scalar, ...]], target: Frame, tip: Frame | None = None) -> Rows:
         """The rows of the geometric Jacobian (its columns in base axes) for the components of `residual`. Raises `ValueError`
         without the `tip` for a task that is not `plain`: where components are outside of their regions depends on it."""
-        rows = self.slopes(columns, target, tip)
+        return self._outer(self.slopes(columns, target, tip), tip, target)
+
+    def _outer(self, rows: Rows, tip: Frame | None, target: Frame) -> Rows:
+        """The rows of `residual`, of those of `measured`."""
         if not self.within:
             return rows
         values = self.measured(self._known(tip), target)
@@ -403,6 +406,17 @@ class Task:
             for i, row in zip(places, _times(factors, [rows[i] for i in places]), strict=True):
                 rows[i] = row
         return rows
+
+    def asked(self, twist: tuple[Scalar, ...], target: Frame, tip: Frame) -> list[Scalar]:
+        """The rates of the residual that would keep up with a target of this twist, in base axes."""
+        if self.function is not None:
+            matrix, wanted = _matrix(tip), _matrix(target)
+            rate = _rate(target.rotation, Vec3(*twist[:3]), Vec3(*twist[3:]), matrix.dtype)
+            moved = jax.jvp(lambda pose: self.function(matrix, pose), (wanted,), (rate,))[1]  # type: ignore[misc]
+            rates: Rows = [[sub(0.0, x)] for x in _entries(moved, self.size)]
+            return [row[0] for row in self._outer(rates, tip, target)]
+        given = (*twist[:3], 0.0, 0.0, 0.0) if self.looks else twist  # however a place that is looked at is turned
+        return [row[0] for row in self.rows([given], target, tip)]
 
     def measured(self, tip: Frame, target: Frame) -> list[Scalar]:
         """The components themselves, those of position first, wherever they may lie."""

@@ -181,11 +181,13 @@ def _standing(robot: Robot) -> Robot:
 
 def _proven(robot: Robot, floor: Floor, base: np.ndarray, given: Poses, options: IKOptions) -> np.ndarray:
     """Whether (B, N) no base in each cell reaches each target within the tolerances."""
-    if len(options.task.positions) < 3:
+    task, here = options.task, np.eye(4)[None]
+    within = float(task.span(here, here)[1][0]) if task.positions and task.weight is None else np.inf
+    if not np.isfinite(within):
         return np.zeros((len(base), len(given.poses)), bool)
-    rotation = len(options.task.rotations) == 3
+    rotation = task.turn_known
     reach = np.linalg.norm(reach_bound(robot, rotation).tip_p)  # a turn of the tip moves the point that is bounded
-    slack = float(options.position_tolerance) + float(options.rotation_tolerance) * float(reach)
+    slack = within + float(options.position_tolerance) + float(options.rotation_tolerance) * float(reach)
     return floor.beyond(robot, base, given.poses, rotation=rotation, slack=slack) & (given.fault == 0)
 
 
