@@ -323,6 +323,9 @@ def _goals(
     if space.moves is not None:
         tip = tip_that_moves(robot, options.moving)
         return standing_postures(tip, scene, space.moves, starts, asked.poses, *bound)
+    if np.ndim(robot.joint_T_tip) == 3 and options.task.tip is None:
+        mend = "name the one that goes there, moving= or task=Task.pose(tip=), or plan to solve_ik(robot, poses).q of all"
+        raise ValueError(f"plan_motion: a goal is a pose, and {robot.name} has the tips {', '.join(robot.tip_names)}; {mend}")
     return postures_of_each(robot, scene, starts, asked.poses, *bound)
 
 

@@ -170,3 +170,12 @@ def test_bounds_between_samples_hold(two, seed):
         q = [np.array([s**3, s**2, s, 1.0]) @ curve for s in np.linspace(0.0, length, 60)]
         off = np.linalg.norm([held(two, each, start).reshape(2, 3) for each in q], axis=2).max(axis=0)
         assert (off <= bounds[piece] + 1e-9).all() and (bounds[piece] < 1.1 * off + 0.01).all()
+
+
+def test_a_pose_of_no_tip_that_is_named():
+    """A pose, or one for each tip, does not say of several tips which goes there."""
+    robot = jaxik.load("p6r_pair")
+    poses = np.asarray(jaxik.forward_kinematics(robot, np.zeros(14)))
+    for goal in (poses[0], poses, poses[None]):
+        with pytest.raises(ValueError, match=r"a goal is a pose, and p6r_pair has the tips .*solve_ik\(robot, poses\)"):
+            jaxik.plan_motion(robot, np.zeros(14), goal)
