@@ -260,6 +260,17 @@ def test_answers_of_branches_that_are_none_together(slides):
     assert not result.success[0] and np.isfinite(result.q[result.success]).all()
 
 
+def test_a_tip_that_no_joint_moves_is_where_it_is(slides):
+    robot, truth = slides
+    at = poses(truth, np.array([[0.1, -0.2, 0.0]]), ("base", "left"))
+    both = [Task.pose(tip="base"), Task.pose(tip="left")]
+    assert jaxik.solve_ik(robot, at[:, 0], task=both[0], collision=False).success.all()
+    result = jaxik.solve_ik(robot, at, task=both, collision=False)
+    assert result.success.all() and max(missed(poses(truth, result.q, ("base", "left")), at)) < 1.1e-6
+    at[0, 0, 0, 3] += 0.1
+    assert jaxik.solve_ik(robot, at, task=both, collision=False).reason[0] == Reason.OUT_OF_REACH
+
+
 @pytest.mark.parametrize("changes", [{"choice": "closest"}, {"choice": "first"}, {"locked": {"move_head": 0.1}}])
 def test_joints_of_no_branch_stay_inside_their_limits(slides, changes):
     robot, truth = slides
