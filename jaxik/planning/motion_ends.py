@@ -12,7 +12,7 @@ from jaxik.checks.arrays import check_known, is_rigid, numbers
 from jaxik.collision.scene import Scene
 from jaxik.ik import IKOptions, solve_ik
 from jaxik.ik.sqp_programs import solve_errors
-from jaxik.kinematics.joint_turns import TURN, endless, nearest_turns
+from jaxik.kinematics.joint_turns import TURN, endless, nearest_turns, periodic
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
 from jaxik.planning.limits import AnyLimits
@@ -142,7 +142,7 @@ def postures(
     first; where the start has the pose already it is the only one.
     """
     lower, upper = bounds or (robot.lower, robot.upper)
-    turnable = ~np.array(robot.is_prismatic) & (robot.upper - robot.lower > TURN) & np.isfinite(robot.upper - robot.lower)
+    turnable = periodic(robot) & (robot.upper - robot.lower > TURN) & np.isfinite(robot.upper - robot.lower)
     asked = IKOptions(
         task=task,
         margin=margin,

@@ -28,7 +28,7 @@ from jaxik.planning.path_parts import Part
 from jaxik.planning.plan_options import PlanOptions
 from jaxik.planning.plan_result import Place, PlanResult
 from jaxik.planning.sooner import sooner
-from jaxik.planning.standing import check_standing, moving_joints, standing_postures, stood, tip_that_moves
+from jaxik.planning.standing import check_standing, moving_joints, one_tip, standing_postures, stood, tip_that_moves
 from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory, padded
 from jaxik.planning.ways import LOOKS, blended
@@ -320,13 +320,10 @@ def _goals(
             goals = check_standing("plan_motion", robot, space.moves, starts, goals)
         return Answers(np.zeros(len(starts), int), goals, np.full_like(starts, np.nan))
     bound = options.postures, limits, seed, options.task, options.margin, bounds
+    tip = one_tip("plan_motion", tip_that_moves(robot, options.moving), options.task)
     if space.moves is not None:
-        tip = tip_that_moves(robot, options.moving)
         return standing_postures(tip, scene, space.moves, starts, asked.poses, *bound)
-    if np.ndim(robot.joint_T_tip) == 3 and options.task.tip is None:
-        mend = "name the one that goes there, moving= or task=Task.pose(tip=), or plan to solve_ik(robot, poses).q of all"
-        raise ValueError(f"plan_motion: a goal is a pose, and {robot.name} has the tips {', '.join(robot.tip_names)}; {mend}")
-    return postures_of_each(robot, scene, starts, asked.poses, *bound)
+    return postures_of_each(tip, scene, starts, asked.poses, *bound)
 
 
 class Ended(NamedTuple):

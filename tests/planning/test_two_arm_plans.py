@@ -15,6 +15,7 @@ from jaxik.planning import plan_motion
 from jaxik.planning.kept_pose import KeptPose
 from jaxik.planning.limb_ways import limbs
 from jaxik.planning.trajectory import JointPath
+from jaxik.reasons import Reason
 
 RADIUS, JOINTS = 0.04, (("z", 0.0), ("y", 0.0), ("y", 0.35), ("y", 0.3), ("z", 0.0), ("x", 0.1))
 AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
@@ -114,6 +115,28 @@ def test_one_arm_moves_and_the_other_stands(two):
     assert (many[1].waypoints[:, 6:] == starts[1, 6:]).all()
     one = plan_motion(robot, APART, np.where(np.arange(12) == 2, 1.0, APART), moving="left_2")
     assert one and len(one.waypoints) == 2
+
+
+def test_one_start_that_is_refused_leaves_the_others_their_motions(two):
+    starts = np.tile(APART, (3, 1))
+    starts[1, 7], starts[2, 8] = 2.5, np.nan  # of the arm that stands
+    pose = two.truth.pose(APART + 0.05, "left_hand")
+    moved = plan_motion(two.robot, starts, pose, moving="left_hand")
+    assert moved.reason.tolist() == [Reason.SOLVED, Reason.LIMITS, Reason.INVALID]
+    assert moved.where == ("", "start", "start")
+
+
+def test_a_list_of_one_tip_has_one(two):
+    pose = two.truth.pose(APART, "left_hand")
+    alone = plan_motion(two.robot.with_tips(["left_hand"]), APART, pose)
+    assert alone and alone.length == 0.0
+    assert plan_motion(two.robot, APART, pose, task=jaxik.Task.pose(tip="left_hand")).length == 0.0
+
+
+def test_hands_that_are_there_already_stand(two):
+    moved = plan_motion(two.robot, np.stack([APART, APART]), APART, keep=HANDS)
+    assert moved.success.all() and (moved.length == 0.0).all()
+    assert all(float(each.trajectory.duration) == 0.0 for each in moved)
 
 
 @pytest.mark.parametrize(
