@@ -69,7 +69,7 @@ class Poses(NamedTuple):
                 raise ValueError("targets: all tasks have their own (Task.at); give None")
             whole, fine = tasks.whole_targets(None)[None], np.zeros(1, np.int8)
             return Poses(whole, fine, np.zeros(1, int), True)
-        array, one, turned = numbers("targets", targets), tasks.shape, any(task.turned for task in tasks.each)
+        array, one, turned = numbers("targets", targets), tasks.shape, tasks.turned
         ranks = len(one), len(one) + 1
         poses = frame(array) if not turned and array.ndim + 1 in ranks and array.shape[-1] == 3 else array
         if poses.ndim not in ranks or poses.shape[-len(one) :] != one:

@@ -278,7 +278,10 @@ class Task:
         """The name by which it is told from others of the same tip."""
         if self.function is not None:
             return getattr(self.function, "__name__", "own")
+        wholes = ("x y z", "position"), ("roll pitch yaw", "rotation")
         bound = " ".join(name for name, b in zip(COMPONENTS, self.bound, strict=True) if b)
+        for parts, name in wholes:
+            bound = bound.replace(parts, name)
         found = "looking" if self.looks else "pose" if all(self.bound) else bound
         return f"{found} within {', '.join(each.words for each in self.within)}" if self.within else found
 

@@ -87,8 +87,17 @@ class Tasks(NamedTuple):
     @property
     def given_names(self) -> tuple[str, ...]:
         """The names of the tasks whose targets are given."""
-        own = self.fixed or (None,) * len(self.each)
-        return tuple(name for name, target in zip(self.names, own, strict=True) if target is None)
+        return tuple(name for name, target in zip(self.names, self._own_targets, strict=True) if target is None)
+
+    @property
+    def turned(self) -> bool:
+        """Whether how targets that are given are turned matters to their tasks."""
+        given = zip(self.each, self._own_targets, strict=True)
+        return any(task.turned for task, target in given if target is None)
+
+    @property
+    def _own_targets(self) -> tuple[tuple[float, ...] | None, ...]:
+        return self.fixed or (None,) * len(self.each)
 
     def whole_targets(self, given: Any) -> Any:
         """Targets (..., k, 4, 4) of all of several tasks, or (..., 4, 4) of one, of those that are given, in the form of

@@ -18,9 +18,9 @@ would hardly move anything. For (4.16) to the letter multiply `alpha` by that ti
 
 Components of a task inside their regions ask for nothing; what leaves a region, by a sample's motion, is brought back as an
 error is. The task is closed: `wdot_eff = wdot + K werr` and `wddot_eff = wddot + K' werrdot + K werr` (4.18), (4.19), so that
-integration does not drift. Near a singularity the pivots of A's Cholesky factorisation that fall below `floor` times their diagonal entry
-(the squared sine between a row of J and those before it) are raised, smoothly, towards it: rates stay bounded, the tip lags,
-and `damping` says how much was added. Where it is 0 the null space is exact.
+integration does not drift. Near a singularity the pivots of A's Cholesky factorisation that fall below `floor` times their
+diagonal entry (the squared sine between a row of J and those before it) are raised, smoothly, towards it: rates stay bounded,
+the tip lags, and `damping` says how much was added. Where it is 0 the null space is exact.
 """
 
 from __future__ import annotations
