@@ -186,8 +186,8 @@ def library(
         for k, each in enumerate(sets):
             share = shares[first + k] if first + k else None
             drawn = [task.drawn(x, share, 3.0 * length) for task, x in zip(tasks.each, tasks.poses(poses), strict=True)]
-            rows = in_blocks(NEAREST, _all_features(tasks, drawn, length), fixed=([each.table],), double=False)
-            at[:, k] = each.q[rows[0]]
+            (row,) = in_blocks(NEAREST, _all_features(tasks, drawn, length), fixed=([each.table],), double=False)
+            at[:, k] = each.q[row]
     elif sets:
         found = in_blocks(
             NEAREST, _all_features(tasks, tasks.poses(poses), length), fixed=([each.table for each in sets],), double=False

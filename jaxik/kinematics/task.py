@@ -370,7 +370,7 @@ class Task:
             own = list(each.components)
             near = each.nearest(np.zeros((1, len(own))))[0]
             by[own] = near if share is None else each.drawn(share[own], far if own[0] < 3 else np.pi)
-        angle = np.linalg.norm(by[3:])
+        angle = float(np.linalg.norm(by[3:]))
         turn = about(by[3:] / angle, angle) if angle else np.eye(3)
         moved = np.array(targets)
         moved[:, :3, 3] += targets[:, :3, :3] @ by[:3] if self._in_tool else by[:3]
