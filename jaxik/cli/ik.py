@@ -19,7 +19,7 @@ from jaxik.cli.results import check_writable, offenders, write_csv, writing
 from jaxik.cli.terminal import STOPPED, Patience, progress_bar
 from jaxik.ik.problem import FAULTS
 from jaxik.ik.sqp_programs import solve_errors
-from jaxik.reasons import texts
+from jaxik.reasons import Reason, texts
 from jaxik.spatial.rotations import frame
 
 AT_ONCE = 1024  # targets, between which Ctrl-C is heard
@@ -40,6 +40,8 @@ FLAGS = flags(
     choice=Literal["auto", "first", "clearance", "manipulability", "freedom", "comfort"],
     solutions=int | Literal["all"],
     max_seeds=int,
+    nearest=bool,
+    metres_per_radian=float,
 )
 
 
@@ -101,18 +103,23 @@ class IKArguments(FLAGS, SearchArguments):
             print(said)
         if self.solutions != 1:
             print(f"{result.num_solutions.sum()} answers")
-        solved = counts.get("solved", 0)
+        solved, near = counts.get("solved", 0), counts.get("nearest", 0)
+        if near:
+            rows = result.reason == Reason.NEAREST
+            far, certain = result.distance[rows], int(result.proven[rows].sum())
+            print(f"nearest postures are {far.min():.3g} to {far.max():.3g} m away; proven to be the nearest: {certain}")
         print(f"{solved} of {len(result)} targets solved in {seconds:.2f} s; {wrote}")
         if len(result) < len(targets):
             print(f"stopped; targets {len(result) + 1} to {len(targets)} were not tried", file=sys.stderr)
             raise SystemExit(STOPPED)
-        if solved < len(targets):
+        if solved + near < len(targets):
             raise SystemExit(1)
 
 
 def write_ik(robot: jaxik.Robot, result: jaxik.ik.IKResult, out: Path, table: dict[str, np.ndarray]) -> None:
     """The results of a batch: arrays (.npz, no pickle), one row a target, or a table (.csv, .parquet), one row an answer."""
     names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations", "solutions", "num_solutions")
+    names += ("distance", "proven") * (result.joints is not None)
     if out.suffix.lower() == ".npz":
         columns = {"reason": texts(result.reason), **{name: getattr(result, name) for name in names}}
         np.savez(out, allow_pickle=False, joint_names=np.array(robot.joint_names), q=result.q, **columns)
@@ -143,5 +150,7 @@ def _table(
         clearance = clearance if np.isnan(result.clearance).all() else np.where(first, clearance, gap(q))
     columns = {"target": target + 1, "solution": np.where(solved, number + 1, 0), "reason": texts(result.reason)[target]}
     columns |= {"position_error": errors[0], "rotation_error": errors[1], "clearance": clearance}
+    if options.nearest:
+        columns |= {"distance": np.where(first, result.distance[target], np.nan), "proven": result.proven[target] & first}
     columns |= {"seed": result.seed[target], "iterations": result.iterations[target]}
     return columns | dict(zip(robot.joint_names, q.T, strict=True))

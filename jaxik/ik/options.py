@@ -91,6 +91,19 @@ class IKOptions(field.Options, who="solve_ik"):
         ' "closest" with a `reference` and no `cost`, else "first"',
     )
 
+    nearest: bool = field.flag(
+        default=False,
+        words="a target that has no answer gets the nearest posture inside the limits, and clear of what it may hit: reason"
+        " NEAREST, and how far it is (`jaxik.ik.nearest`)",
+    )
+    metres_per_radian: float = field.number(
+        default=0.2,
+        least=0.0,
+        unit="m/rad",
+        words="how `nearest` measures: sqrt(position_error^2 + (metres_per_radian rotation_error)^2); with 0 the position goes"
+        " first, and the rotation is as near as that leaves it",
+    )
+
     def check(self) -> None:
         ranked = "choice 'clearance'" if self.choice == "clearance" else ""
         check_collision("solve_ik", self.collision, margin=self.margin, other=ranked)

@@ -173,7 +173,7 @@ def _problem(robot: Robot, goal: Goal, pose: Any, weights: Any, around: Any, dty
         if slack is not None:
             parts = [_outside(part, slack[i % 2]) for i, part in enumerate(parts)]
         equality = Rows([v for part in parts for v in part.value], [row for part in parts for row in part.matrix])
-        cost, gradient, inequality = _beside(robot, goal, stack(x, (n,), dtype), around, scale)
+        cost, gradient, inequality = beside(robot, goal, stack(x, (n,), dtype), around, scale)
         return sqp.Model(cost, gradient, equality, inequality)
 
     return sqp.Problem(model, metric)
@@ -200,7 +200,7 @@ def _outside(rows: Rows, radius: Any) -> Rows:
     return Rows([rest * v for v in rows.value], matrix)
 
 
-def _beside(robot: Robot, goal: Goal, q: Any, around: Any, scale: float) -> tuple[Scalar, list[Scalar], Rows]:
+def beside(robot: Robot, goal: Goal, q: Any, around: Any, scale: float) -> tuple[Scalar, list[Scalar], Rows]:
     """Cost, its gradient, and the inequalities."""
     cost: Scalar = 0.0
     gradient: list[Scalar] = [0.0] * len(q)
