@@ -4,7 +4,8 @@
     relative           a_T_tip = base_T_a^-1 base_T_tip against its target, seen from a: a link, or another tip
 
 A robot that the tasks are for has the frames that they compare as its tips, and no others; a single task of a single tip leaves
-it as it is. Targets are poses (4, 4), or (k, 4, 4) of k tasks.
+it as it is. Several tasks may be of one tip. Targets are poses (4, 4), or (k, 4, 4) of k tasks; who asks gives those of tasks
+that have no target of their own (`whole_targets` puts these in).
 """
 
 from __future__ import annotations
@@ -32,18 +33,20 @@ Asked = Task | Sequence[Task]
 
 class Tasks(NamedTuple):
     """Tasks (k,), which name no tips any more, with the tips of a robot that each compares, by their numbers; the names to call
-    them by; and whether targets have an axis of tasks. Hashable: a program's key."""
+    them by; whether targets have an axis of tasks; and the targets that tasks have themselves, which are not given, None for
+    the others, () where there is none. Hashable: a program's key, without those (`asked`)."""
 
     each: tuple[Task, ...]
     ends: tuple[Ends, ...]
     names: tuple[str, ...]
     listed: bool
+    fixed: tuple[tuple[float, ...] | None, ...] = ()
 
     @staticmethod
     def alone(task: Task) -> Tasks:
         """One task of a robot's only tip. Raises `ValueError` for what is no task, as of a list of them."""
         check_kind("task", "it", task, Task)
-        return Tasks((task,), ((BASE_END, 0),), ("tip",), False)
+        return Tasks((task.unnamed if task.target else task,), ((BASE_END, 0),), ("tip",), False, _fixed((task,)))
 
     @property
     def stacked(self) -> bool:
@@ -52,13 +55,47 @@ class Tasks(NamedTuple):
 
     @property
     def bound(self) -> int:
-        """The number of components that all of them bind."""
-        return sum(sum(task.bound) for task in self.each)
+        """The number of components that those which must be met leave no freedom."""
+        return sum(task.equations for task in self.each if task.weight is None)
+
+    @property
+    def plain(self) -> bool:
+        """Whether all are equations of poses that must be met."""
+        return all(task.plain and task.weight is None for task in self.each)
+
+    @property
+    def soft(self) -> bool:
+        """Whether some are least squares."""
+        return any(task.weight is not None for task in self.each)
+
+    @property
+    def asked(self) -> Tasks:
+        """The same, all of whose targets are given."""
+        return self._replace(fixed=()) if self.fixed else self
+
+    @property
+    def given(self) -> int:
+        """The number of tasks whose targets are given."""
+        return len(self.each) - sum(each is not None for each in self.fixed)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The shape of one target as it is given: (4, 4), or (k, 4, 4) of a list of tips or of tasks."""
-        return (len(self.each), 4, 4) if self.listed else (4, 4)
+        """The shape of one target as it is given: (4, 4), or (k, 4, 4) of a list of tips or of tasks; (4, 4) where all tasks of
+        a list but one have their targets."""
+        return (self.given, 4, 4) if self.listed and not (self.given == 1 and self.fixed) else (4, 4)
+
+    def whole_targets(self, given: Any) -> Any:
+        """Targets (..., k, 4, 4) of all of several tasks, or (..., 4, 4) of one, of those that are given, in the form of
+        `shape`; those that tasks have themselves are put in. Numbers or traced."""
+        if not self.fixed:
+            return given
+        xp: Any = np if is_known(given) else jnp
+        given = xp.zeros((0, 4, 4)) if given is None else given[..., None, :, :] if self.shape == (4, 4) else given
+        own = iter(range(self.given))
+        lead = given.shape[:-3]
+        frame = lambda target: xp.broadcast_to(xp.asarray(target, given.dtype).reshape(4, 4), (*lead, 4, 4))
+        each = [given[..., next(own), :, :] if target is None else frame(target) for target in self.fixed]
+        return xp.stack(each, axis=-3) if self.stacked else each[0]
 
     def targets(self, pose: Any) -> list[Frame]:
         """The frames of a target (4, 4) or (k, 4, 4), or of columns of targets."""
@@ -82,8 +119,15 @@ class Tasks(NamedTuple):
 
     def rows(self, robot: Robot, frames: JointFrames, targets: list[Frame]) -> list[list[list[Scalar]]]:
         """The rows of each task's Jacobian, for its bound components."""
-        given = zip(self.each, self.ends, targets, strict=True)
-        return [task.rows(_columns(robot, frames, ends), target) for task, ends, target in given]
+        plain = all(task.plain for task in self.each)
+        given = zip(self.each, self.ends, targets, [None] * len(targets) if plain else self.frames(frames), strict=True)
+        return [task.rows(_columns(robot, frames, ends), target, tip) for task, ends, target, tip in given]
+
+    def constraints(self, robot: Robot, frames: JointFrames, targets: list[Frame], scale: Scalar) -> list[tuple[Any, ...]]:
+        """The `Task.constraints` of each that must be met."""
+        given = zip(self.each, self.ends, targets, self.frames(frames), strict=True)
+        hard = (one for one in given if one[0].weight is None)
+        return [task.constraints(tip, target, _columns(robot, frames, ends), scale) for task, ends, target, tip in hard]
 
     def shaped(self, values: Sequence[Any]) -> Any:
         """One number a task: an array (k,), or the number of a single one."""
@@ -109,8 +153,14 @@ def tasks_of(who: str, robot: Robot, asked: Asked) -> tuple[Robot, Tasks]:
         check_kind(who, "task", task, Task)
     if not each:
         raise ValueError(f"{who}: task is an empty list; write a jaxik.Task for each target")
+    fixed = _fixed(each)
+    bare = tuple(dataclasses.replace(task, target=None) for task in each) if fixed else each
     named = getattr(robot, "_digest", None) is not None or is_known(robot)  # the first is quick
-    return (_known_tasks if named else _tasks)(who, robot, each, not isinstance(asked, Task))
+    robot, tasks = (_known_tasks if named else _tasks)(who, robot, bare, not isinstance(asked, Task))
+    if fixed and len(tasks.each) > len(fixed):
+        tips = ", ".join(robot.tip_names)
+        raise ValueError(f"{who}: a task with a target names no tip, and {robot.name} has {tips}; write tip= in it")
+    return robot, tasks._replace(fixed=fixed) if fixed else tasks
 
 
 def _tasks(who: str, robot: Robot, each: tuple[Task, ...], listed: bool) -> tuple[Robot, Tasks]:
@@ -136,11 +186,18 @@ def _tasks(who: str, robot: Robot, each: tuple[Task, ...], listed: bool) -> tupl
     for i, task in zip(own, each, strict=True):
         tip = number(i if task.tip is None else task.tip)
         ends.append((BASE_END if task.relative is None else number(task.relative), tip))
-    names = tuple(_name(robot, task, i) for i, task in zip(own, each, strict=True))
-    return _with_places(robot, places), Tasks(tuple(task.unnamed for task in each), tuple(ends), names, listed)
+    names = [_name(robot, task, i) for i, task in zip(own, each, strict=True)]
+    told = tuple(f"{name} ({task.words})" if names.count(name) > 1 else name for name, task in zip(names, each, strict=True))
+    bare = tuple(task.unnamed for task in each)
+    return _with_places(robot, places), Tasks(bare, tuple(ends), told, listed)
 
 
 _known_tasks = functools.lru_cache(maxsize=256)(_tasks)
+
+
+def _fixed(each: Sequence[Task]) -> tuple[tuple[float, ...] | None, ...]:
+    targets = tuple(task.target for task in each)
+    return () if all(target is None for target in targets) else targets
 
 
 def _name(robot: Robot, task: Task, own: int) -> str:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.arrays import numbers
-from jaxik.spatial.algebra import Rot3, Vec3, add, atan2, mul, safe_sqrt, traced
+from jaxik.spatial.algebra import Rot3, Vec3, add, atan2, mul, safe_sqrt, sincos, sub, traced
 
 # --------------------------------------------------------------------------------------------------------------------
 # Of arrays of numbers
@@ -147,9 +147,50 @@ def _axis_of_half_turn(e: Rot3, v: Vec3) -> Vec3:
     return best * sign
 
 
+def log_slope(vector: Vec3) -> tuple[Vec3, Vec3, Vec3]:
+    """The rows of the derivative of a rotation vector (of up to pi) by the angular velocity, in the axes of what it is turned
+    from: `1 - [v]x / 2 + (1 - h cot h) / (4 h^2) [v]x^2`, h half the angle [Chirikjian 2012, sec. 10.6]."""
+    square = vector.dot(vector)
+    small = square < 1e-4
+    safe = jnp.where(small, 1.0, square)
+    half = 0.5 * safe_sqrt(safe)
+    sine, cosine = sincos(half)
+    factor = jnp.where(small, 1.0 / 12.0 + square / 720.0, (1.0 - half * cosine / sine) / safe)
+    x, y, z = vector
+    once = Vec3(0.0, -z, y), Vec3(z, 0.0, -x), Vec3(-y, x, 0.0)
+    twice = (vector * v + Vec3(*(-square if i == j else 0.0 for j in range(3))) for i, v in enumerate(vector))
+    ones = (Vec3(*(1.0 if i == j else 0.0 for j in range(3))) for i in range(3))
+    first, second, third = (one + a * -0.5 + b * factor for one, a, b in zip(ones, once, twice, strict=True))
+    return first, second, third
+
+
+def swing_slope(direction: Vec3, k: int) -> tuple[Vec3, Vec3, Vec3]:
+    """The derivatives of `direction_swing` by the angular velocity about each of the three axes."""
+    i, j = (k + 1) % 3, (k + 2) % 3
+    cosine = direction[k]
+    square = add(mul(direction[i], direction[i]), mul(direction[j], direction[j]))
+    near = (square < 1e-4) & (cosine > 0.0)
+    safe = jnp.where(square < 1e-12, 1e-12, square)
+    sine, off = safe_sqrt(safe), 1.0 - cosine
+    scale = jnp.where(near, 1.0 + off / 3.0 + 2.0 * off * off / 15.0, atan2(sine, cosine) / sine)
+    slope = jnp.where(near, -1.0 / 3.0 - 4.0 * off / 15.0, -(1.0 - scale * cosine) / safe)  # of the scale, by the cosine
+    found = []
+    for axis in range(3):
+        moved = Vec3(*(1.0 if n == axis else 0.0 for n in range(3))).cross(direction)
+        rate = lambda n, moved=moved: add(mul(moved[n], scale), mul(mul(direction[n], slope), moved[k]))
+        parts: list[Any] = [0.0, 0.0, 0.0]
+        parts[i], parts[j] = sub(0.0, rate(j)), rate(i)
+        found.append(Vec3(*parts))
+    return found[0], found[1], found[2]
+
+
 def rotation_swing(e: Rot3, k: int) -> Vec3:
     """The shortest turn that brings direction k to where E has it, as a rotation vector (component k is 0)."""
-    direction = e.T[k]  # of axis k after the turn
+    return direction_swing(e.T[k], k)
+
+
+def direction_swing(direction: Vec3, k: int) -> Vec3:
+    """The shortest turn that brings axis k to a unit direction, as a rotation vector (component k is 0)."""
     i, j = (k + 1) % 3, (k + 2) % 3
     # k x direction: along i it is -direction_j, along j it is direction_i
     sine = safe_sqrt(add(mul(direction[i], direction[i]), mul(direction[j], direction[j])))
