@@ -68,6 +68,12 @@ def with_nearest(problem: Problem, outcome: Outcome) -> Outcome:
     return Outcome(reason, answers, kept(outcome.stuck), missed, task)
 
 
+def check_nearest(tasks: Tasks) -> None:
+    """Raises `ValueError` for tasks whose distances do not add up."""
+    if any(task.weight is not None for task in tasks.each):
+        raise ValueError("solve_ik: nearest=True measures tasks that must be met, and one has a weight; leave weight= out")
+
+
 def distances(problem: Problem, found: Found, metric: float | None = None) -> np.ndarray:
     """The distance of each row from its target (b,) [m], by the user's metric or another [m/rad]."""
     metric = problem.options.metres_per_radian if metric is None else metric
@@ -127,7 +133,7 @@ def least_distances(problem: Problem) -> np.ndarray:
     """
     total, s = np.zeros(len(problem.poses)), problem.options.metres_per_radian
     for task, ends, poses in zip(problem.tasks.each, problem.tasks.ends, problem.tasks.poses(problem.poses), strict=True):
-        if len(task.positions) < 3:
+        if len(task.positions) < 3 or not task.plain:
             continue
         by_position = reach_bound(problem.robot, False, ends)
         least = by_position.excess(poses)

@@ -129,7 +129,7 @@ def _parts(robot: Robot, tasks: Tasks, frames: JointFrames, targets: list[Frame]
         values = [mul(by, value) for by, value in zip(scale, [*position, *rotation], strict=True)]
         directions = [[mul(by, x) for x in row] for by, row in zip(scale, _directions(task, tip, target), strict=True)]
         rows = [[dot(row, column(jacobian, i)) for i in range(robot.num_joints)] for row in directions]
-        found.append(_Part(values, directions, rows, jacobian, rotation if len(rotation) == 3 else []))
+        found.append(_Part(values, directions, rows, jacobian, rotation if task.plain and len(rotation) == 3 else []))
     return found
 
 
@@ -140,8 +140,8 @@ def _square(parts: list[_Part]) -> Scalar:
 
 def _directions(task: Task, tip: Frame, target: Frame) -> Rows:
     """How a residual changes by unit twists of the tip, in the axes that its target is seen in."""
-    if len(task.rotations) != 1:
-        return task.rows(UNIT_TWISTS, target)  # which is what the sum of squares has; of a single angle it is another
+    if task.plain and len(task.rotations) != 1:
+        return task.rows(UNIT_TWISTS, target)  # the sum of squares has these; that of a single angle, or of a region, others
 
     def moved(*twist: Any) -> tuple[Any, ...]:
         (vx, vy, vz), (x, y, z) = twist[:3], twist[3:]

@@ -29,7 +29,7 @@ from jaxik.collision.scene_builder import make_scene
 from jaxik.costs import Cost
 from jaxik.ik.branches import search
 from jaxik.ik.multistart import Outcome, beyond_reach
-from jaxik.ik.nearest import binding, distances, nearest_words, proven, with_nearest
+from jaxik.ik.nearest import binding, check_nearest, distances, nearest_words, proven, with_nearest
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import FAULTS, Poses, Problem, is_looked_at
 from jaxik.ik.solutions import Found, candidates, cleared, far_apart, scores, top, with_turns
@@ -196,6 +196,8 @@ def solve_ik(
     scenes: Any = tuple(scene) if isinstance(scene, list | tuple) else None
     check_kind("solve_ik", "robot", robot, Robot)
     robot, tasks = tasks_of("solve_ik", robot, options.task)
+    if options.nearest:
+        check_nearest(tasks)
     each = [_around(robot, one, options) for one in ((scene,) if scenes is None else scenes)]  # type: ignore[arg-type]
     given = Poses.of(targets, tasks)
     if scenes is not None:
