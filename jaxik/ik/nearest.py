@@ -91,7 +91,7 @@ class Binding(NamedTuple):
 
 
 def binding(problem: Problem) -> Binding:
-    """What may bind the postures of a problem."""
+    """The joints that may bind the postures of a problem."""
     moves = (problem.low < problem.high).tolist()
     limits = problem.low.tolist(), problem.high.tolist()
     low, high = (tuple(each if moves[i] else None for i, each in enumerate(ends)) for ends in limits)  # locked: none

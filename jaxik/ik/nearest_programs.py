@@ -73,8 +73,8 @@ def lean(
 
 
 def closest(tasks: Tasks, pose: Any, metric: Any, table: Any) -> tuple[Any, Any]:
-    """Of each cell of a table of frames (cells, m, k, 4, 4) that the tasks compare, the number of the one nearest to a target,
-    and its distance squared [m^2]."""
+    """The number of the configuration nearest to a target in each cell of a table of the frames (cells, m, k, 4, 4) that the
+    tasks compare, and its distance squared [m^2]."""
     targets = tasks.targets(pose)
 
     def cell(_: Any, frames: Any) -> Any:

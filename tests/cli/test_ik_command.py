@@ -54,7 +54,7 @@ def test_one_answer_has_the_columns_of_many(tmp_path, monkeypatch):
 
 
 def test_the_nearest_of_what_cannot_be_had(tmp_path, monkeypatch, capsys):
-    """Its distance is a column more, and the command does not fail."""
+    """The distance is a column more, and the command does not fail."""
     monkeypatch.chdir(tmp_path)
     robot = jaxik.load("so100")
     poses = np.stack([np.asarray(jaxik.forward_kinematics(robot, np.array([0.1, 1.0, -1.0, 0.2, 0.3]))), np.eye(4)])

@@ -174,7 +174,7 @@ def test_what_is_far_off_is_proven(name):
 
 
 def test_the_bound_is_below_every_posture():
-    """What is proven never lies above the distance of any posture."""
+    """No posture is nearer than the bound says."""
     robot, targets = jaxik.load("ur5e"), poses(50, 2.0, seed=11)
     result = jaxik.solve_ik(robot, targets, nearest=True, collision=False)
     assert not (result.proven & (result.reason == Reason.NEAREST)).any() or result.distance[result.proven].min() >= 0.0
@@ -197,7 +197,7 @@ def test_it_says_how_far_and_what_binds():
 
 
 def test_several_tips(tmp_path):
-    """Of two hands both count; a task that is met does not."""
+    """Both hands count."""
     robot = jaxik.load(write(tmp_path, "two.urdf", TWO), tip=HANDS, posture={})
     targets = poses(6, 0.5, seed=13).reshape(3, 2, 4, 4)
     result = jaxik.solve_ik(robot, targets, nearest=True)
