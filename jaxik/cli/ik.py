@@ -118,7 +118,16 @@ class IKArguments(FLAGS, SearchArguments):
 
 def write_ik(robot: jaxik.Robot, result: jaxik.ik.IKResult, out: Path, table: dict[str, np.ndarray]) -> None:
     """The results of a batch: arrays (.npz, no pickle), one row a target, or a table (.csv, .parquet), one row an answer."""
-    names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations", "solutions", "num_solutions")
+    names: tuple[str, ...] = (
+        "success",
+        "position_error",
+        "rotation_error",
+        "clearance",
+        "seed",
+        "iterations",
+        "solutions",
+        "num_solutions",
+    )
     names += ("distance", "proven") * (result.joints is not None)
     if out.suffix.lower() == ".npz":
         columns = {"reason": texts(result.reason), **{name: getattr(result, name) for name in names}}

@@ -111,3 +111,11 @@ class IKOptions(field.Options, who="solve_ik"):
             raise ValueError(f"solve_ik: locked is {shown(self.locked)}; write locked={{'joint': value}}")
         if self.reference is None and (self.choice == "closest" or self.seeds == "near"):
             raise ValueError("solve_ik: choice 'closest' and seeds 'near' need a reference; give reference=q")
+
+
+def check_answers_only(who: str, options: IKOptions) -> None:
+    """Raises `ValueError` for options that give postures without their poses, to who counts answers."""
+    if options.nearest:
+        raise ValueError(
+            f"{who}: nearest=True is for solve_ik, which says how far a posture is; here answers count: leave it out"
+        )

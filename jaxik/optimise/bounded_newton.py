@@ -58,8 +58,8 @@ def run(
     """Steps from x (n,) put inside its bounds (n,), at most so many, until they are short or leave f as it is: x, f there, the
     largest component of `x - clip(x - g)`, 0 where no slope is left, and how many steps it took. `unit` is what a curvature
     that counts is measured in."""
-    lower, upper, start = ([v[i] for i in range(len(x))] for v in (low, high, x))
-    start = tuple(jnp.clip(v, a, b) for v, a, b in zip(start, lower, upper, strict=True))
+    lower, upper, given = ([v[i] for i in range(len(x))] for v in (low, high, x))
+    start = tuple(jnp.clip(v, a, b) for v, a, b in zip(given, lower, upper, strict=True))
 
     def turn(state: Any) -> Any:
         kept, tried, before, restraint, count, _ = state

@@ -156,6 +156,11 @@ def test_soft_tasks_are_refused_in_one_line():
         jaxik.solve_ik(jaxik.load("so100"), np.eye(4), task=Task.pose(weight=1.0), nearest=True)
 
 
+def test_who_counts_answers_takes_no_others():
+    with pytest.raises(ValueError, match="base_poses: nearest=True is for solve_ik"):
+        jaxik.reach.base_poses(jaxik.load("so100"), np.eye(4)[None], x=(0, 1, 2), y=(0, 1, 2), nearest=True)
+
+
 def test_locked_joints_stay():
     robot = jaxik.load("ur5e")
     result = jaxik.solve_ik(robot, poses(10, 0.6, seed=10), nearest=True, locked={"wrist_3_joint": 0.3}, collision=False)
