@@ -24,7 +24,6 @@ from jaxik.ik.solutions import Found, candidates, cleared, far_apart, judged, no
 from jaxik.ik.sqp_programs import solve_errors
 from jaxik.kinematics.holding import hold_joints
 from jaxik.kinematics.robot import Robot
-from jaxik.kinematics.task import Task
 from jaxik.kinematics.tasks import BASE_END, Tasks
 from jaxik.reasons import Reason
 
@@ -51,7 +50,7 @@ def search(problem: Problem) -> Outcome:
     if not branches or problem.options.seeds in ("near", "closed_form"):
         return multistart.search(problem)
     count, blind = 1 if problem.most == 1 else problem.options.solutions, problem
-    if problem.scene is not None or problem.options.cost is not None or problem.choice == "clearance":
+    if problem.scene is not None or problem.costly or problem.choice == "clearance":
         blind = dataclasses.replace(problem, scene=None, choice="first" if problem.choice == "clearance" else problem.choice)
         if not (problem.first_will_do or count == "all"):
             count = max(SPREAD, count)
@@ -68,7 +67,7 @@ def search(problem: Problem) -> Outcome:
             free, hit = judged(problem, more._replace(target=rows[more.target]))
             found, stuck = Found.joined([found, free]), Found.joined([stuck, hit])
         open_ |= left & ~_has(found, len(reason))
-    if problem.options.cost is not None:
+    if problem.costly:
         found = refinement.improved(problem, found)
     outcome = Outcome(reason, found, nothing(problem), cleared(problem, missed), task)
     return _rest(problem, outcome, open_, stuck) if open_.any() else outcome
@@ -176,8 +175,10 @@ def _problem_of(problem: Problem, branch: Branch, count: int | str, seeds: int) 
 
 @functools.lru_cache(maxsize=64)
 def branches_of(robot: Robot, tasks: Tasks) -> tuple[Branch, ...]:
-    """The branches of tasks that share no joint; none where two do, and where a relative task has no such pose to start
-    from."""
+    """The branches of tasks that share no joint; none where two do, where one is soft, and where a relative task has no such
+    pose to start from."""
+    if tasks.soft:
+        return ()
     seen = [_seen_from(tasks, number) for number in range(len(tasks.each))]
     if None in seen:
         return ()
@@ -196,8 +197,8 @@ def _seen_from(tasks: Tasks, number: int) -> int | None:
     task, (end, _) = tasks.each[number], tasks.ends[number]
     if end == BASE_END:
         return BASE_END
-    turned_alike = task.axes == "tool" or (len(task.positions) in (0, 3) and len(task.rotations) in (0, 3))
-    known = [i for i, each in enumerate(tasks.each) if tasks.ends[i] == (BASE_END, end) and each.unnamed == Task()]
+    turned_alike = task.function is None and (task.axes == "tool" or task.isotropic)
+    known = [i for i, each in enumerate(tasks.each) if tasks.ends[i] == (BASE_END, end) and each.whole]
     return known[0] if known and turned_alike else None
 
 

@@ -130,7 +130,7 @@ def settle(
     values = jax.eval_shape(lambda: _arrays(tuple(problem.model(start).equality.value), far.dtype))
     begin = jnp.int32(0), jnp.bool_(False), tuple(start), tuple(jnp.zeros_like(far) for _ in values), (far, far)
     count, _, found, values, _ = lax.while_loop(lambda state: ~state[1], turn, begin)
-    return jnp.stack(found), jnp.stack(values), count
+    return jnp.stack(found), jnp.stack(values) if values else jnp.zeros(0, x.dtype), count
 
 
 def _judged(problem: Problem, state: Any, low: Sequence[Any], high: Sequence[Any], options: Options) -> Any:
