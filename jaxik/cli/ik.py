@@ -20,7 +20,7 @@ from jaxik.cli.terminal import STOPPED, Patience, progress_bar
 from jaxik.ik.problem import FAULTS
 from jaxik.ik.sqp_programs import solve_errors
 from jaxik.kinematics.tasks import tasks_of
-from jaxik.reasons import texts
+from jaxik.reasons import Reason, texts
 from jaxik.spatial.rotations import frame
 
 AT_ONCE = 1024  # targets, between which Ctrl-C is heard
@@ -42,6 +42,8 @@ FLAGS = flags(
     choice=Literal["auto", "first", "clearance", "manipulability", "freedom", "comfort"],
     solutions=int | Literal["all"],
     max_seeds=int,
+    nearest=bool,
+    metres_per_radian=float,
 )
 
 
@@ -109,12 +111,16 @@ class IKArguments(FLAGS, SearchArguments):
             print(said)
         if self.solutions != 1:
             print(f"{result.num_solutions.sum()} answers")
-        solved = counts.get("solved", 0)
+        solved, near = counts.get("solved", 0), counts.get("nearest", 0)
+        if near:
+            rows = result.reason == Reason.NEAREST
+            far, certain = result.distance[rows], int(result.proven[rows].sum())
+            print(f"nearest postures are {far.min():.3g} to {far.max():.3g} m away; proven to be the nearest: {certain}")
         print(f"{solved} of {len(result)} targets solved in {seconds:.2f} s; {wrote}")
         if len(result) < len(targets):
             print(f"stopped; targets {len(result) + 1} to {len(targets)} were not tried", file=sys.stderr)
             raise SystemExit(STOPPED)
-        if solved < len(targets):
+        if solved + near < len(targets):
             raise SystemExit(1)
 
 
@@ -132,7 +138,8 @@ def _blamed(result: jaxik.ik.IKResult) -> str:
 
 def write_ik(robot: jaxik.Robot, result: jaxik.ik.IKResult, out: Path, table: dict[str, np.ndarray]) -> None:
     """The results of a batch: arrays (.npz, no pickle), one row a target, or a table (.csv, .parquet), one row an answer."""
-    names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations", "solutions", "num_solutions")
+    names = ["success", "position_error", "rotation_error", "clearance", "seed", "iterations", "solutions", "num_solutions"]
+    names += ["distance", "proven"] if result.joints is not None else []
     if out.suffix.lower() == ".npz":
         columns = {"reason": texts(result.reason), **{name: getattr(result, name) for name in names}}
         if result.tasks:
@@ -170,6 +177,8 @@ def _table(
     for name, error in zip(ERRORS, errors, strict=True):
         columns |= {f"{tip}_{name}": error[:, i] for i, tip in enumerate(result.tasks)} or {name: error}
     columns |= {"clearance": clearance}
+    if options.nearest:
+        columns |= {"distance": np.where(first, result.distance[target], np.nan), "proven": result.proven[target] & first}
     columns |= {"seed": result.seed[target], "iterations": result.iterations[target]}
     return columns | dict(zip(robot.joint_names, q.T, strict=True))
 

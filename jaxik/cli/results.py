@@ -20,7 +20,13 @@ from jaxik.reasons import Reason
 from jaxik.spatial.rotations import to_wxyz
 
 LOOKED = 32  # colliding postures that are asked what they collide with
-UNITS = {"angle": "rad", "clearance": "m", "position_error": "m", "rotation_error": "rad"}  # of a table's columns
+UNITS = {
+    "angle": "rad",
+    "clearance": "m",
+    "distance": "m",
+    "position_error": "m",
+    "rotation_error": "rad",
+}  # of a table's columns
 
 
 def write_csv(path: Path, columns: dict[str, np.ndarray], units: dict[str, str] = UNITS) -> None:

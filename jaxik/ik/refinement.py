@@ -64,11 +64,11 @@ def settled(problem: Problem, lanes: Found, most: int, double: bool = True, cree
     rows, fixed = (lanes.q, problem.poses[lanes.target], aim), (problem.round_limits, most, creep)
     steps = settling(problem, FINISH if double else SEARCH)
     q, away, turned, count = in_blocks(steps, *rows, fixed=fixed, double=double)
-    q = _inside(problem, q) if problem.circles.any() else q
+    q = put_inside(problem, q) if problem.circles.any() else q
     return lanes._replace(q=q, position_error=away, rotation_error=turned, iterations=lanes.iterations + count)
 
 
-def _inside(problem: Problem, q: np.ndarray) -> np.ndarray:
+def put_inside(problem: Problem, q: np.ndarray) -> np.ndarray:
     """Joints that turn all the way round, by whole turns back inside their limits."""
     out = problem.circles & ((q < problem.low) | (q > problem.high))
     if not out.any():
@@ -119,7 +119,7 @@ def loosened(problem: Problem, misses: Misses, reason: np.ndarray) -> tuple[Foun
     program = batch(4, loosen, problem.robot, problem.tasks, LOOSENING)
     q, away, turned, count = in_blocks(program, *rows, fixed=fixed, double=True)
     ended = missed._replace(
-        q=_inside(problem, q), position_error=away, rotation_error=turned, iterations=missed.iterations + count
+        q=put_inside(problem, q), position_error=away, rotation_error=turned, iterations=missed.iterations + count
     )
     return judged(problem, ended.rows(within(ended, problem.tolerance)))
 

@@ -29,6 +29,7 @@ from jaxik.collision.scene_builder import make_scene
 from jaxik.costs import Cost
 from jaxik.ik.branches import search
 from jaxik.ik.multistart import Outcome, beyond_reach
+from jaxik.ik.nearest import binding, check_nearest, distances, nearest_words, proven, with_nearest
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import FAULTS, Poses, Problem, is_looked_at
 from jaxik.ik.solutions import Found, candidates, cleared, far_apart, scores, top, with_turns
@@ -68,6 +69,10 @@ class IKResult(Result):
     With a list of tips, or of tasks, position_error and rotation_error have a last axis (k,) of theirs, and task is the number
     of the one that the reason is of, -1 where it is of all or of none. beyond is how far a target lies past what the reach
     bound of its tip allows [m], 0 where it does not.
+
+    With `nearest=True` the reason NEAREST says that q is the posture nearest to a target that has no answer; distance is how
+    far it is [m], by `metres_per_radian`, and proven whether the reach bound shows that no posture is nearer. `why` tells how
+    far, and which joints are at their limits. NaN and False without it.
     """
 
     q: Float[np.ndarray, "*b n"]
@@ -82,8 +87,11 @@ class IKResult(Result):
     fault: Int[np.ndarray, "*b"] | Any = 0
     task: Int[np.ndarray, "*b"] | Any = -1
     beyond: Float[np.ndarray, "*b"] | Any = 0.0
+    distance: Float[np.ndarray, "*b"] | Any = np.nan
+    proven: Bool[np.ndarray, "*b"] | Any = False
     tasks: tuple[str, ...] = static(default=())  # their names, where there is a list of them
     solved_in: Any = static(default=None)  # robot, scene or one a target, margin
+    joints: Any = static(default=None)  # where the nearest was asked for: what tells which joints bind
     ROW: ClassVar = "target"
     HELP: ClassVar = {
         Reason.OUT_OF_REACH: "check its unit, its frame, which is the robot's base, and the robot's tip, or move one of them",
@@ -98,11 +106,24 @@ class IKResult(Result):
         fault, words = np.asarray(self.fault, int), super().why
         if fault.any():
             words = np.where(fault > 0, np.array([f"{Reason.INVALID}: {text}" for text in FAULTS])[fault], words)
+        words = self._with_nearest(words)
         if self.tasks and (np.asarray(self.task) >= 0).any():
             each = zip(np.ravel(words), np.ravel(self.task), np.ravel(self.beyond), strict=True)
             told = [f"{self.tasks[task]}{_past(beyond)}: {text}" if task >= 0 else text for text, task, beyond in each]
             words = np.array(told, str).reshape(np.shape(self.task))
         return words if np.ndim(words) else str(words)
+
+    def _with_nearest(self, words: Any) -> Any:
+        """The words, where the reason is NEAREST how far the posture is, and what binds."""
+        rows = np.flatnonzero(np.ravel(self.reason) == Reason.NEAREST)
+        if not len(rows):
+            return words
+        told, shape = np.ravel(words).astype(object), np.shape(words)
+        flat = lambda x: np.reshape(x, (len(told), -1))
+        q, away, turned, certain = (flat(x) for x in (self.q, self.position_error, self.rotation_error, self.proven))
+        for row in rows:
+            told[row] = nearest_words(self.joints, q[row], away[row], turned[row], bool(certain[row, 0]))
+        return told.astype(str).reshape(shape)
 
     @functools.cached_property
     def offenders(self) -> tuple[Any, ...]:
@@ -163,9 +184,13 @@ def solve_ik(
     A task that binds no rotation takes positions too, (3,) or (N, 3). `changes` are fields of `IKOptions` by name.
     `progress(done, total)` counts targets. Deterministic: `seed` decides, and a target's result does not depend on the others.
 
+    With `nearest=True` a target without an answer gets the nearest posture: its reason is NEAREST, `distance` says how far it
+    is, `proven` whether it is known that none is nearer. Among obstacles it is clear of them; where no such posture is found
+    the reason stays. Targets that have an answer keep theirs.
+
     Reasons: SOLVED; OUT_OF_REACH, proven by the robot's reach bound or its closed form; LIMITS, found only beyond them, which
     is a proof where the closed form knows all answers; COLLISION, found, but every one collides; NOT_CONVERGED; INVALID, the
-    target is no pose (`why` says what is wrong with it).
+    target is no pose (`why` says what is wrong with it); NEAREST.
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Warns of targets that look like millimetres, of what is
     in collision in every configuration, and of meshes that were not read.
@@ -174,6 +199,8 @@ def solve_ik(
     scenes: Any = tuple(scene) if isinstance(scene, list | tuple) else None
     check_kind("solve_ik", "robot", robot, Robot)
     robot, tasks = tasks_of("solve_ik", robot, options.task)
+    if options.nearest:
+        check_nearest(tasks)
     each = [_around(robot, one, options) for one in ((scene,) if scenes is None else scenes)]  # type: ignore[arg-type]
     given, tasks = Poses.of(targets, tasks), tasks.asked
     if scenes is not None:
@@ -228,7 +255,7 @@ def solved(
     count, size = len(targets.poses), TOLD if progress else TARGETS
     for start in range(0, max(1, count), size):
         part = problem.part(slice(start, start + size))
-        parts.append(_result(part, search(part)))
+        parts.append(_result(part, _answered(part)))
         if progress:
             progress(min(start + size, count), count)
     joined = IKResult.joined(parts)
@@ -251,10 +278,15 @@ def _solved_apart(
         first, *more = numbers
         end = first + len(more) + 1
         part = dataclasses.replace(problem.part(slice(first, end)), scene=around[first])
-        parts.append(_result(part, search(part)))
+        parts.append(_result(part, _answered(part)))
         if progress:
             progress(end, len(scenes))
     return dataclasses.replace(IKResult.joined(parts), solved_in=(robot, scenes, options.margin))
+
+
+def _answered(problem: Problem) -> Outcome:
+    outcome = search(problem)
+    return with_nearest(problem, outcome) if problem.options.nearest else outcome
 
 
 def _result(problem: Problem, outcome: Outcome) -> IKResult:
@@ -295,8 +327,16 @@ def _result(problem: Problem, outcome: Outcome) -> IKResult:
         num_solutions=known,
         fault=problem.fault,
         **_of_tasks(problem, outcome),
+        **_of_nearest(problem, shown),
         tasks=names,
     )
+
+
+def _of_nearest(problem: Problem, shown: Found) -> dict[str, Any]:
+    """Returns how far each posture is from its target, and whether none is nearer, where that was asked."""
+    if not problem.options.nearest:
+        return {name: np.full(len(shown.q), value) for name, value in (("distance", np.nan), ("proven", False))}
+    return {"distance": distances(problem, shown), "proven": proven(problem, shown), "joints": binding(problem)}
 
 
 def _whole_errors(problem: Problem, shown: Found) -> tuple[np.ndarray, np.ndarray]:

@@ -199,7 +199,7 @@ def _problem(robot: Robot, goal: Goal, pose: Any, weights: Any, around: Any, dty
             equality, inside = _equations(robot, goal.tasks, frames, targets, scale, slack), NONE
         else:
             equality, inside = _limited(robot, goal.tasks, frames, targets, scale)
-        cost, gradient, inequality = _beside(robot, goal, stack(x, (n,), dtype), around, scale)
+        cost, gradient, inequality = beside(robot, goal, stack(x, (n,), dtype), around, scale)
         if goal.soft:
             cost, gradient = _softly(robot, goal.tasks, frames, targets, cost, gradient)
         return sqp.Model(cost, gradient, equality, _both(inside, inequality) if inside.value else inequality)
@@ -265,7 +265,7 @@ def _outside(rows: Rows, radius: Any) -> Rows:
     return Rows([rest * v for v in rows.value], matrix)
 
 
-def _beside(robot: Robot, goal: Goal, q: Any, around: Any, scale: float) -> tuple[Scalar, list[Scalar], Rows]:
+def beside(robot: Robot, goal: Goal, q: Any, around: Any, scale: float) -> tuple[Scalar, list[Scalar], Rows]:
     """Cost, its gradient, and the inequalities."""
     cost: Scalar = 0.0
     gradient: list[Scalar] = [0.0] * len(q)

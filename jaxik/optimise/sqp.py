@@ -224,7 +224,7 @@ def solve(
         counted = [[mul(on, x) for x in row] for on, row in zip(broken, rows, strict=True)]
         matrix = [[add(base[i][j], dot(column(counted, i), column(rows, j))) for j in range(i + 1)] for i in range(n)]
         vector = [sub(right[i], dot(column(counted, i), inequality.value)) for i in range(n)]
-        step = definite_solve(*_held(matrix, vector, free, held), smallest)
+        step = definite_solve(*with_held(matrix, vector, free, held), smallest)
         clipped = [jnp.clip(p, a, b) for p, a, b in zip(step, low, high, strict=True)]
         if number == passes:
             break
@@ -243,7 +243,7 @@ def _is_free(was: Any, step: Any, clipped: Any, wants: Any, low: Any, high: Any)
     return jnp.where(released | ((was == 1.0) & (step == clipped)), 1.0, 0.0)
 
 
-def _held(matrix: Matrix, right: Sequence[Scalar], free: Sequence[Scalar], held: Sequence[Scalar]) -> tuple[Any, Any]:
+def with_held(matrix: Matrix, right: Sequence[Scalar], free: Sequence[Scalar], held: Sequence[Scalar]) -> tuple[Any, Any]:
     """The system with the unknowns that are not `free` fixed at `held`."""
     n = len(right)
     moved = [sub(b, x) for b, x in zip(right, product(full(matrix), held), strict=True)]

@@ -23,7 +23,7 @@ from jaxik.checks.options import check_kind
 from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.clearances import check_geometry, clearance, link_clearances
 from jaxik.collision.scene import Scene
-from jaxik.ik.options import IKOptions
+from jaxik.ik.options import IKOptions, check_answers_only
 from jaxik.ik.problem import Poses, is_looked_at
 from jaxik.ik.solve import solve_ik
 from jaxik.kinematics.holding import hold_joints
@@ -151,6 +151,7 @@ def base_poses(
     check_kind("base_poses", "robot", robot, Robot)
     robot.only_tip("base_poses")
     options, robot = IKOptions.chosen(options, changes), _standing(robot)
+    check_answers_only("base_poses", options)
     looked = is_looked_at("base_poses", robot, scene, options.collision is not False)
     for name, most in (("position_tolerance", 0), ("rotation_tolerance", 0), ("reference", 1)):
         if getattr(options, name) is not None and np.ndim(getattr(options, name)) > most:
