@@ -15,6 +15,7 @@ from tables.collision import (
     scaling_markdown,
     scenes_markdown,
 )
+from tables.five_joints import five_joints_markdown
 from tables.forces import dynamics_markdown, identification_markdown, torque_markdown, touch_markdown
 from tables.mobile_base import mobile_base_markdown
 from tables.motions import (
@@ -64,6 +65,7 @@ TABLES = {
     "collision_scaling.json": scaling_markdown,
     "dynamics_benchmark.json": dynamics_markdown,
     "ends_benchmark.json": ends_markdown,
+    "five_joints_benchmark.json": five_joints_markdown,
     "furniture_benchmark.json": furniture_markdown,
     "general_arms.json": general_markdown,
     "harvest_motions.json": harvest_motions_markdown,
@@ -95,8 +97,13 @@ TABLES = {
 
 
 def table(name: str) -> str:
-    """The table of a benchmark's JSON file, or the "overview" of them all."""
-    return overview() if name == "overview" else TABLES[name](_result(name))
+    """The table of a benchmark's JSON file and the machine that it ran on, or the "overview" of them all."""
+    if name == "overview":
+        return overview()
+    result = _result(name)
+    told = result.get("machine", result)
+    where = f"Machine: {told['cpu']}, jax {told['jax']}." if "cpu" in told else ""
+    return f"{TABLES[name](result)}\n\n{where}".rstrip()
 
 
 def tables() -> list[str]:

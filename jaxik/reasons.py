@@ -24,6 +24,7 @@ class Reason(IntEnum):
     SILENT = 9  # a device: it says nothing
     UNEXPLAINED = 10  # a log: most of a joint's torque is nothing that bodies and friction do
     NO_WAY = 11  # a motion: proven that none leads from its start to its goal
+    NEAREST = 12  # a posture as near to the target as was found: what was asked for cannot be had
     TOO_FAST = 13  # a tool's path: a joint would have to be faster than it may
 
     @property

@@ -24,7 +24,6 @@ from jaxik.ik.solutions import Found, candidates, cleared, far_apart, judged, no
 from jaxik.ik.sqp_programs import solve_errors
 from jaxik.kinematics.holding import hold_joints
 from jaxik.kinematics.robot import Robot
-from jaxik.kinematics.task import Task
 from jaxik.kinematics.tasks import BASE_END, Tasks
 from jaxik.reasons import Reason
 
@@ -51,7 +50,7 @@ def search(problem: Problem) -> Outcome:
     if not branches or problem.options.seeds in ("near", "closed_form"):
         return multistart.search(problem)
     count, blind = 1 if problem.most == 1 else problem.options.solutions, problem
-    if problem.scene is not None or problem.options.cost is not None or problem.choice == "clearance":
+    if problem.scene is not None or problem.costly or problem.choice == "clearance":
         blind = dataclasses.replace(problem, scene=None, choice="first" if problem.choice == "clearance" else problem.choice)
         if not (problem.first_will_do or count == "all"):
             count = max(SPREAD, count)
@@ -68,7 +67,7 @@ def search(problem: Problem) -> Outcome:
             free, hit = judged(problem, more._replace(target=rows[more.target]))
             found, stuck = Found.joined([found, free]), Found.joined([stuck, hit])
         open_ |= left & ~_has(found, len(reason))
-    if problem.options.cost is not None:
+    if problem.costly:
         found = refinement.improved(problem, found)
     outcome = Outcome(reason, found, nothing(problem), cleared(problem, missed), task)
     return _rest(problem, outcome, open_, stuck) if open_.any() else outcome
@@ -116,6 +115,8 @@ def _apart(
         near.append(shown.rows(top(shown.target, np.zeros(len(shown.target)), 1)))
     most = 1 if count == 1 else MOST if count == "all" else max(TRIED, int(count))
     found = _led(problem, _combined(problem, branches, kept, most))
+    apart = (reason == SOLVED) & ~_has(found, len(reason))  # each has an answer, and together they are none
+    reason, task = np.where(apart, Reason.NOT_CONVERGED, reason), np.where(apart, -1, task)
     if (reason == SOLVED).all():
         return reason, task, found, nothing(problem)
     lost = (reason != SOLVED) & (reason != Reason.OUT_OF_REACH)
@@ -142,7 +143,7 @@ def _led(problem: Problem, found: Found) -> Found:
 
 def _combined(problem: Problem, branches: tuple[Branch, ...], each: list[Found], most: int) -> Found:
     """Each answer of each branch with each of the others', up to `most` of a target, those of the first ones first. Joints of
-    no branch are at home."""
+    no branch are at home, or at the limit that is nearest."""
     targets = len(problem.tolerance)
     target = np.arange(targets)
     rank, row = np.zeros(targets, int), np.zeros((targets, 0), int)  # of which answers of the branches each is made
@@ -155,7 +156,7 @@ def _combined(problem: Problem, branches: tuple[Branch, ...], each: list[Found],
         target, rank, row = target[before], rank[before] + number, np.column_stack([row[before], rows])
         best = top(target, -rank, most) if most < len(target) else slice(None)
         target, rank, row = target[best], rank[best], row[best]
-    q = np.array(problem.home(target))
+    q = np.clip(problem.home(target), problem.low, problem.high)
     seed, steps = np.zeros((2, len(target)), int)
     for branch, found, rows in zip(branches, each, row.T, strict=True):
         q[:, branch.joints] = found.q[rows]
@@ -176,8 +177,10 @@ def _problem_of(problem: Problem, branch: Branch, count: int | str, seeds: int) 
 
 @functools.lru_cache(maxsize=64)
 def branches_of(robot: Robot, tasks: Tasks) -> tuple[Branch, ...]:
-    """The branches of tasks that share no joint; none where two do, and where a relative task has no such pose to start
-    from."""
+    """The branches of tasks that share no joint; none where two do, where one is soft, and where a relative task has no such
+    pose to start from."""
+    if tasks.soft:
+        return ()
     seen = [_seen_from(tasks, number) for number in range(len(tasks.each))]
     if None in seen:
         return ()
@@ -196,8 +199,8 @@ def _seen_from(tasks: Tasks, number: int) -> int | None:
     task, (end, _) = tasks.each[number], tasks.ends[number]
     if end == BASE_END:
         return BASE_END
-    turned_alike = task.axes == "tool" or (len(task.positions) in (0, 3) and len(task.rotations) in (0, 3))
-    known = [i for i, each in enumerate(tasks.each) if tasks.ends[i] == (BASE_END, end) and each.unnamed == Task()]
+    turned_alike = task.function is None and (task.axes == "tool" or task.isotropic)
+    known = [i for i, each in enumerate(tasks.each) if tasks.ends[i] == (BASE_END, end) and each.whole]
     return known[0] if known and turned_alike else None
 
 

@@ -36,9 +36,9 @@ def enumerable(problem: Problem) -> bool:
     """Whether the closed form answers the problem: poses, without obstacles, a cost, or seeds of another kind, and no joint
     locked but those that it is given; with six joints of no family, whether more than one answer is asked for, none locked."""
     options, robot, wanted = problem.options, problem.robot, problem.options.seeds == "closed_form"
-    if (problem.scene is not None and not problem.alone) or options.cost is not None or not (wanted or options.seeds == "auto"):
+    if (problem.scene is not None and not problem.alone) or problem.costly or not (wanted or options.seeds == "auto"):
         return False
-    if problem.tasks.stacked or (not wanted and not all(problem.tasks.each[0].bound)):
+    if problem.tasks.stacked or (not wanted and not problem.tasks.each[0].whole):
         return False
     if not wanted and scan_obstacle(robot):
         return not problem.first_will_do and not options.locked and _without_closed_form(robot) is not None

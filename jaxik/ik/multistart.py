@@ -33,7 +33,8 @@ from jaxik.ik.problem import Problem
 from jaxik.ik.refinement import OPEN, SOLVED, STEPS, Misses
 from jaxik.ik.solutions import Found, at_home, candidates, cleared, judged, nothing, portions, top, within
 from jaxik.kinematics.joint_turns import endless, whole_turns
-from jaxik.kinematics.reach_bound import reach_bound
+from jaxik.kinematics.reach_bound import ReachBound, reach_bound
+from jaxik.kinematics.task import Task
 from jaxik.reasons import Reason
 from jaxik.spmd.batch import in_blocks
 
@@ -131,7 +132,7 @@ def searched_for(problem: Problem, valid: np.ndarray, stuck: Found | None = None
         missed = missed.rows(~landed)
     problem = asked
     found = at_home(problem, Found.joined(answers))
-    if problem.options.cost is not None:
+    if problem.costly:
         found = refinement.improved(problem, found)
     if (reason == SOLVED).all():
         return Outcome(reason, found, none, none)
@@ -163,13 +164,22 @@ def beyond_reach(problem: Problem) -> np.ndarray:
     one is proven to be out of reach."""
     found: list[np.ndarray] = []
     for task, ends, poses in zip(problem.tasks.each, problem.tasks.ends, problem.tasks.poses(problem.poses), strict=True):
-        if len(task.positions) < 3:
+        if not task.positions or task.weight is not None:
             found.append(np.full(len(poses), -np.inf))
             continue
-        bound = reach_bound(problem.robot, len(task.rotations) == 3, ends)
+        bound = reach_bound(problem.robot, task.turn_known, ends)
         slack = problem.tolerance @ [1.0, np.linalg.norm(bound.tip_p)]  # a turn of the tip moves the point that is bounded
-        found.append(bound.excess(poses) - (1e-9 + slack))
+        exact = task.plain and len(task.positions) == 3
+        found.append((bound.excess(poses) if exact else _least_excess(bound, task, poses)) - (1e-9 + slack))
     return np.stack(found, axis=1) if problem.tasks.stacked else found[0][:, None]
+
+
+def _least_excess(bound: ReachBound, task: Task, poses: np.ndarray) -> np.ndarray:
+    """How far (N,) that place among those that a task allows which is nearest to the reach bound lies beyond it [m]."""
+    place = np.array(poses)
+    place[:, :3, 3] = bound.origin - (bound.point(poses) - poses[:, :3, 3])  # of the tip, were its point at the bound's middle
+    least, most = task.span(place, poses)
+    return np.maximum(least - bound.longest, bound.shortest - most)
 
 
 @functools.lru_cache(maxsize=64)

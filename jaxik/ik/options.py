@@ -91,6 +91,19 @@ class IKOptions(field.Options, who="solve_ik"):
         ' "closest" with a `reference` and no `cost`, else "first"',
     )
 
+    nearest: bool = field.flag(
+        default=False,
+        words="a target that has no answer gets the nearest posture inside the limits, and clear of what it may hit: reason"
+        " NEAREST, and how far it is (`jaxik.ik.nearest`)",
+    )
+    metres_per_radian: float = field.number(
+        default=0.2,
+        least=0.0,
+        unit="m/rad",
+        words="how `nearest` measures: sqrt(position_error^2 + (metres_per_radian rotation_error)^2); with 0 the position goes"
+        " first, and the rotation is as near as that leaves it",
+    )
+
     def check(self) -> None:
         ranked = "choice 'clearance'" if self.choice == "clearance" else ""
         check_collision("solve_ik", self.collision, margin=self.margin, other=ranked)
@@ -98,3 +111,11 @@ class IKOptions(field.Options, who="solve_ik"):
             raise ValueError(f"solve_ik: locked is {shown(self.locked)}; write locked={{'joint': value}}")
         if self.reference is None and (self.choice == "closest" or self.seeds == "near"):
             raise ValueError("solve_ik: choice 'closest' and seeds 'near' need a reference; give reference=q")
+
+
+def check_answers_only(who: str, options: IKOptions) -> None:
+    """Raises `ValueError` for options that give postures without their poses, to who counts answers."""
+    if options.nearest:
+        raise ValueError(
+            f"{who}: nearest=True is for solve_ik, which says how far a posture is; here answers count: leave it out"
+        )

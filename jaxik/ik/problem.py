@@ -20,7 +20,7 @@ from jaxik.collision.scene import Scene
 from jaxik.costs import check_cost
 from jaxik.ik import seeds, sqp_programs
 from jaxik.ik.options import IKOptions
-from jaxik.kinematics.joint_turns import TURN
+from jaxik.kinematics.joint_turns import TURN, periodic
 from jaxik.kinematics.robot import Robot, finite_range
 from jaxik.kinematics.task import Task
 from jaxik.kinematics.tasks import BASE_END, Tasks
@@ -58,18 +58,24 @@ class Poses(NamedTuple):
     @staticmethod
     def of(targets: Any, asked: Task | Tasks) -> Poses:
         """Takes a pose (4, 4) or poses (N, 4, 4), or (k, 4, 4) and (N, k, 4, 4) of a list; positions (3,) in place of poses for
-        tasks that bind no rotation. Raises `ValueError` for other shapes and for traced targets."""
+        tasks that bind no rotation; None where all tasks have their targets, which are put in. Raises `ValueError` for other
+        shapes and for traced targets."""
         if isinstance(targets, jax.core.Tracer):
             mend = "jit or vmap jaxik.ik.descend_ik, or differentiate an answer by jaxik.implicit_ik"
             raise ValueError(f"solve_ik: targets are traced, and it is a driver on the host; {mend}")
         tasks = Tasks.alone(asked) if isinstance(asked, Task) else asked
-        array, one, turned = numbers("targets", targets), tasks.shape, any(task.rotations for task in tasks.each)
+        if not tasks.given:
+            if targets is not None:
+                raise ValueError("targets: all tasks have their own (Task.at); give None")
+            whole, fine = tasks.whole_targets(None)[None], np.zeros(1, np.int8)
+            return Poses(whole, fine, np.zeros(1, int), True)
+        array, one, turned = numbers("targets", targets), tasks.shape, tasks.turned
         ranks = len(one), len(one) + 1
         poses = frame(array) if not turned and array.ndim + 1 in ranks and array.shape[-1] == 3 else array
         if poses.ndim not in ranks or poses.shape[-len(one) :] != one:
             said = ", ".join(map(str, one))
             also = "" if turned else f" or positions ({', '.join(map(str, (*one[:-2], 3)))}), (N, {said[:-6]}3)"
-            also += f", one for each of {', '.join(tasks.names)}" if tasks.listed else ""
+            also += f", one for each of {', '.join(tasks.given_names)}" if tasks.listed else ""
             mend = MENDS.get(array.shape[-1], "") if array.ndim + 1 in ranks else ""
             raise ValueError(f"targets have shape {array.shape}; allowed: poses ({said}) or (N, {said}){also}{mend}")
         each = poses.reshape(-1, 4, 4)
@@ -78,10 +84,11 @@ class Poses(NamedTuple):
         fault[~valid] = [_fault(pose) for pose in each[~valid]]
         if not tasks.stacked:
             return Poses(cleaned, fault, np.zeros(len(fault), int), poses.ndim == len(one))
-        by_task = fault.reshape(-1, len(tasks.each))
+        by_task = fault.reshape(-1, tasks.given)
         faulty = np.argmax(by_task > 0, axis=1)
-        rows = cleaned.reshape(-1, len(tasks.each), 4, 4)
-        return Poses(rows, by_task[np.arange(len(by_task)), faulty], faulty, poses.ndim == len(one))
+        rows = tasks.whole_targets(cleaned.reshape(-1, *one))
+        number = faulty if not tasks.fixed else np.flatnonzero([each is None for each in tasks.fixed])[faulty]
+        return Poses(rows, by_task[np.arange(len(by_task)), faulty], number, poses.ndim == len(one))
 
     def of_scenes(self, count: int) -> Poses:
         """The targets of so many scenes, one each: as they are, or the only one in all. Raises `ValueError` for another
@@ -142,10 +149,10 @@ class Problem:
         robot: Robot, scene: Scene | Grouped | None, seed: int, options: IKOptions, targets: Poses, tasks: Tasks | None = None
     ) -> Problem:
         """The problem of a robot with the frames of `tasks` as its tips, or of a task of its only tip."""
-        tasks = Tasks.alone(options.task) if tasks is None else tasks
+        tasks = (Tasks.alone(options.task) if tasks is None else tasks).asked
         n, count, choice = robot.num_joints, len(targets.poses), options.choice
         if choice == "auto":
-            choice = "closest" if options.reference is not None and options.cost is None else "first"
+            choice = "closest" if options.reference is not None and options.cost is None and not tasks.soft else "first"
         low, high = _limits(robot, options)
         weights = np.ones(n)
         if options.weights is not None:
@@ -260,7 +267,7 @@ class Problem:
     def circles(self) -> np.ndarray:
         """Whether each joint (n,) turns all the way round inside its limits, up to what a file rounds off [rad]."""
         span = self.high - self.low
-        return ~np.array(self.robot.is_prismatic) & np.isfinite(span) & (span >= TURN - ROUNDED)
+        return periodic(self.robot) & np.isfinite(span) & (span >= TURN - ROUNDED)
 
     @functools.cached_property
     def round_limits(self) -> tuple[np.ndarray, ...]:
@@ -270,7 +277,12 @@ class Problem:
     @property
     def first_will_do(self) -> bool:
         """Whether a target that has an answer needs no other."""
-        return self.choice == "first" and self.options.solutions == 1 and self.options.cost is None
+        return self.choice == "first" and self.options.solutions == 1 and not self.costly
+
+    @property
+    def costly(self) -> bool:
+        """Whether answers have a cost: the user's, or that of soft tasks."""
+        return self.options.cost is not None or self.tasks.soft
 
     @functools.cached_property
     def aim(self) -> np.ndarray:
@@ -280,7 +292,7 @@ class Problem:
     @functools.cached_property
     def may_turn(self) -> np.ndarray:
         """Whether each joint (n,) has several turns of one posture inside its limits."""
-        return ~np.array(self.robot.is_prismatic) & (self.high - self.low >= TURN)
+        return periodic(self.robot) & (self.high - self.low >= TURN)
 
     @property
     def turnable(self) -> np.ndarray:
@@ -330,7 +342,7 @@ def _range(robot: Robot, lower: tuple[float, ...], upper: tuple[float, ...], one
     holds the same postures again, and limits to run into."""
     low, high = finite_range(robot, np.array(lower), np.array(upper))
     if one_turn:
-        over = np.where(robot.is_prismatic, 0.0, np.maximum(high - low - TURN, 0.0)) / 2.0
+        over = np.where(periodic(robot), np.maximum(high - low - TURN, 0.0), 0.0) / 2.0
         low, high = low + over, high - over
     return seeds.Range.of(low, high)
 
@@ -344,7 +356,7 @@ def _shaped(name: str, value: Any, shape: tuple[int, ...], least: int = 0) -> np
 def _strategy(robot: Robot, asked: str, tasks: Tasks) -> str:
     if asked not in ("auto", "closed_form"):
         return asked
-    obstacle = closed_form_obstacle(robot) if all(tasks.each[0].bound) else "the task leaves axes free"
+    obstacle = closed_form_obstacle(robot) if tasks.each[0].whole else "the task is no whole pose"
     if asked == "closed_form" and obstacle:
         raise ValueError(f"{robot.name}: seeds 'closed_form' need the closed form, and {obstacle}")
     # over given values the library leads to more: of 400 goals in a row of plants a UR10e on a rail missed 57 from branches

@@ -64,11 +64,11 @@ def settled(problem: Problem, lanes: Found, most: int, double: bool = True, cree
     rows, fixed = (lanes.q, problem.poses[lanes.target], aim), (problem.round_limits, most, creep)
     steps = settling(problem, FINISH if double else SEARCH)
     q, away, turned, count = in_blocks(steps, *rows, fixed=fixed, double=double)
-    q = _inside(problem, q) if problem.circles.any() else q
+    q = put_inside(problem, q) if problem.circles.any() else q
     return lanes._replace(q=q, position_error=away, rotation_error=turned, iterations=lanes.iterations + count)
 
 
-def _inside(problem: Problem, q: np.ndarray) -> np.ndarray:
+def put_inside(problem: Problem, q: np.ndarray) -> np.ndarray:
     """Joints that turn all the way round, by whole turns back inside their limits."""
     out = problem.circles & ((q < problem.low) | (q > problem.high))
     if not out.any():
@@ -119,7 +119,7 @@ def loosened(problem: Problem, misses: Misses, reason: np.ndarray) -> tuple[Foun
     program = batch(4, loosen, problem.robot, problem.tasks, LOOSENING)
     q, away, turned, count = in_blocks(program, *rows, fixed=fixed, double=True)
     ended = missed._replace(
-        q=_inside(problem, q), position_error=away, rotation_error=turned, iterations=missed.iterations + count
+        q=put_inside(problem, q), position_error=away, rotation_error=turned, iterations=missed.iterations + count
     )
     return judged(problem, ended.rows(within(ended, problem.tolerance)))
 
@@ -171,11 +171,11 @@ IMPROVE_MARGIN = 1e-8  # [m] more, of an answer that leans on an obstacle for th
 IMPROVED = 32  # answers of a target that a cost is made smaller from, the cheapest that are apart
 
 
-def goal(problem: Problem, cost: Cost | None = None) -> Goal:
-    """The goal of a lane: the task, the cost, and obstacles as the options have it."""
+def goal(problem: Problem, cost: Cost | None = None, soft: bool = False) -> Goal:
+    """The goal of a lane: the task, the cost, that of soft tasks where they count, and obstacles as the options have it."""
     options = problem.options
     collision = "none" if problem.scene is None else str(options.collision)
-    return Goal(problem.tasks, cost, collision, options.activation, options.penalty)
+    return Goal(problem.tasks, cost, collision, options.activation, options.penalty, soft and problem.tasks.soft)
 
 
 def freed(problem: Problem, stuck: Found, count: int) -> Found:
@@ -212,13 +212,14 @@ def _hopped(problem: Problem, stuck: Found, count: int) -> Found:
 
 
 def improved(problem: Problem, found: Found) -> Found:
-    """The answers with the user's cost made smaller, where that leaves them answers."""
+    """The answers with their cost made smaller, where that leaves them answers."""
     if not len(found.q):
         return found
     found = _cheaper_turns(problem, found)
     if problem.choice == "first":
-        found = found.rows(far_apart(problem, found, -costs(problem, found.q), max(IMPROVED, problem.most)))
-    _check_slopes(problem, found)
+        found = found.rows(far_apart(problem, found, -costs(problem, found.q, found.target), max(IMPROVED, problem.most)))
+    if problem.options.cost is not None:
+        _check_slopes(problem, found)
     if not problem.alone:
         return _cheaper(problem, found, problem)[0]
     found, hits = _cheaper(problem, found, dataclasses.replace(problem, scene=None))
@@ -231,7 +232,7 @@ def _cheaper(problem: Problem, found: Found, minds: Problem) -> tuple[Found, np.
     """The answers led down the user's cost among the obstacles of `minds`, where that leaves them answers; and which stay as
     they were for what they would hit."""
     iterations = problem.options.cost_iterations
-    program = batch(2, land, problem.robot, goal(minds, problem.options.cost), iterations, IMPROVE)
+    program = batch(2, land, problem.robot, goal(minds, problem.options.cost, soft=True), iterations, IMPROVE)
     around = () if minds.scene is None else ((minds.scene, problem.options.margin + IMPROVE_MARGIN),)
     q, away, turned = in_blocks(program, found.q, problem.poses[found.target], fixed=(problem.limits, *around), double=True)
     better = found._replace(q=q, position_error=away, rotation_error=turned, iterations=found.iterations + iterations)
@@ -258,13 +259,13 @@ def _cheaper_turns(problem: Problem, found: Found) -> Found:
     """Each joint turned by 2 pi, one after the other, as long as that makes the user's cost less."""
     if not problem.cost_turns or not problem.turnable.any() or not len(found.q):
         return found
-    q, price, less = found.q, costs(problem, found.q), np.ones(1, bool)
+    q, price, less = found.q, costs(problem, found.q, found.target), np.ones(1, bool)
     turns = TURN * np.eye(problem.robot.num_joints)[problem.turnable]
     while less.any():
         less = np.zeros(len(q), bool)
         for turn in (*turns, *-turns):
             other = q + turn
-            asked = costs(problem, other)
+            asked = costs(problem, other, found.target)
             better = np.all((other >= problem.low) & (other <= problem.high), axis=1) & (asked < price)
             q, price, less = np.where(better[:, None], other, q), np.where(better, asked, price), less | better
     return found._replace(q=q)

@@ -132,8 +132,10 @@ def centred(robot: Robot, tasks: Tasks, poses: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _features(task: Task, poses: np.ndarray, length: float) -> np.ndarray:
-    """The parts of poses (N, 4, 4) that the task binds; squared distances are `|dp|^2 / length^2 + angle^2` for small
-    angles."""
+    """The parts of poses (N, 4, 4) that the task binds; squared distances are `|dp|^2 / length^2 + angle^2` for small angles.
+    A direction to look in, or a function of one's own, tells nothing of one pose alone."""
+    if task.looks or task.function is not None:
+        return np.zeros((len(poses), 1), np.float32)
     parts = [poses[:, list(task.positions), 3] / length] if len(task.positions) == 3 or task.axes == "base" else []
     rotation = poses[:, :3, :3]
     if len(task.rotations) == 3:
@@ -162,7 +164,8 @@ class _Set(NamedTuple):
 def _set(robot: Robot, tasks: Tasks, inside: Range, length: float, number: int) -> _Set:
     # the user's seed does not change it: it is built once a robot
     q = uniform(inside, 0, number, LATER if number else FIRST)
-    features = _all_features(tasks, [each.matrices for each in tasks.frames(joint_frames(robot, list(q.T)))], length)
+    frames = tasks.frames(joint_frames(robot, list(q.T)))  # what no joint moves has only one
+    features = _all_features(tasks, [np.broadcast_to(each.matrices, (len(q), 4, 4)) for each in frames], length)
     return read_only(_Set(q.astype(np.float32), np.column_stack([features, -0.5 * np.sum(features**2, axis=1)])))
 
 
@@ -174,10 +177,18 @@ def _sets(robot: Robot, tasks: Tasks, inside: Range, length: float, first: int, 
 def library(
     robot: Robot, tasks: Tasks, length: float, inside: Range, seed: int, first: int, last: int, poses: np.ndarray
 ) -> np.ndarray:
-    """Seeds number `first` to `last` for poses (N, 4, 4) or (N, k, 4, 4), (N, last - first, n)."""
+    """Seeds number `first` to `last` for poses (N, 4, 4) or (N, k, 4, 4), (N, last - first, n). Where tasks have regions number
+    k is the nearest to the k-th pose drawn from these, and number 0 to the one that is nearest to the target."""
     at = np.empty((len(poses), last - first, robot.num_joints), np.float32)
     sets = _sets(robot, tasks, inside, length, first, min(last, SETS))
-    if sets:
+    if any(task.within for task in tasks.each):
+        shares = low_discrepancy(Range((0.0,) * 6, (1.0,) * 6), seed, 0, SETS)
+        for k, each in enumerate(sets):
+            share = shares[first + k] if first + k else None
+            drawn = [task.drawn(x, share, 3.0 * length) for task, x in zip(tasks.each, tasks.poses(poses), strict=True)]
+            (row,) = in_blocks(NEAREST, _all_features(tasks, drawn, length), fixed=([each.table],), double=False)
+            at[:, k] = each.q[row]
+    elif sets:
         found = in_blocks(
             NEAREST, _all_features(tasks, tasks.poses(poses), length), fixed=([each.table for each in sets],), double=False
         )

@@ -11,7 +11,7 @@ from jaxik.collision.bvh import decided_within, grouped, obstacles_in, own_in
 from jaxik.collision.own_shape import OwnSurfaces, by_volumes
 from jaxik.costs import comfort_cost, joint_limit_margin
 from jaxik.ik.problem import Problem
-from jaxik.ik.sqp_programs import batch, clearance_around
+from jaxik.ik.sqp_programs import batch, clearance_around, soft_cost
 from jaxik.kinematics.forward import manipulability
 from jaxik.kinematics.joint_turns import TURN, all_turns, endless, nearest_turns, whole_turns
 from jaxik.spmd.batch import in_blocks
@@ -176,16 +176,20 @@ def first_most(owner: np.ndarray, value: np.ndarray) -> np.ndarray:
 # The choice among several answers, and their turns by 2 pi
 
 
-def costs(problem: Problem, q: np.ndarray) -> np.ndarray:
-    """The user's cost of configurations (N, n), in float64."""
-    return in_blocks(batch(1, problem.options.cost), q, double=True)[0]
+def costs(problem: Problem, q: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """The cost of configurations (N, n) of targets (N,), the user's and that of soft tasks, in float64."""
+    cost, tasks = problem.options.cost, problem.tasks
+    found = np.zeros(len(q)) if cost is None else in_blocks(batch(1, cost), q, double=True)[0]
+    if not tasks.soft:
+        return found
+    return found + in_blocks(batch(2, soft_cost, problem.robot, tasks), q, problem.poses[target], double=True)[0]
 
 
 def scores(problem: Problem, found: Found) -> np.ndarray:
     """Scores answers by the user's choice; more is better."""
     choice, robot, reference = problem.choice, problem.robot, problem.reference
     if choice == "first":
-        return -found.seed.astype(float) if problem.options.cost is None else -costs(problem, found.q)
+        return -costs(problem, found.q, found.target) if problem.costly else -found.seed.astype(float)
     if choice == "clearance":
         return np.nan_to_num(found.clearance)
     if choice == "closest" or (choice == "comfort" and reference is not None):
@@ -203,5 +207,9 @@ def with_turns(problem: Problem, found: Found) -> Found:
         return found
     row, q = all_turns(problem.robot, found.q, problem.low, problem.high)
     again = found.rows(row)._replace(q=q)
-    price = costs(problem, again.q) if problem.cost_turns else np.abs(again.q - problem.home(again.target)).sum(axis=1)
+    price = (
+        costs(problem, again.q, again.target)
+        if problem.cost_turns
+        else np.abs(again.q - problem.home(again.target)).sum(axis=1)
+    )
     return again.rows(np.lexsort((price, row)))

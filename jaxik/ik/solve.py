@@ -29,9 +29,11 @@ from jaxik.collision.scene_builder import make_scene
 from jaxik.costs import Cost
 from jaxik.ik.branches import search
 from jaxik.ik.multistart import Outcome, beyond_reach
+from jaxik.ik.nearest import binding, check_nearest, distances, nearest_words, proven, with_nearest
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import FAULTS, Poses, Problem, is_looked_at
 from jaxik.ik.solutions import Found, candidates, cleared, far_apart, scores, top, with_turns
+from jaxik.ik.sqp_programs import soft_cost, solve_errors, whole_target
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.reach_bound import millimetres
 from jaxik.kinematics.robot import Robot, as_configuration
@@ -67,6 +69,10 @@ class IKResult(Result):
     With a list of tips, or of tasks, position_error and rotation_error have a last axis (k,) of theirs, and task is the number
     of the one that the reason is of, -1 where it is of all or of none. beyond is how far a target lies past what the reach
     bound of its tip allows [m], 0 where it does not.
+
+    With `nearest=True` the reason NEAREST says that q is the posture nearest to a target that has no answer; distance is how
+    far it is [m], by `metres_per_radian`, and proven whether the reach bound shows that no posture is nearer. `why` tells how
+    far, and which joints are at their limits. NaN and False without it.
     """
 
     q: Float[np.ndarray, "*b n"]
@@ -81,8 +87,11 @@ class IKResult(Result):
     fault: Int[np.ndarray, "*b"] | Any = 0
     task: Int[np.ndarray, "*b"] | Any = -1
     beyond: Float[np.ndarray, "*b"] | Any = 0.0
+    distance: Float[np.ndarray, "*b"] | Any = np.nan
+    proven: Bool[np.ndarray, "*b"] | Any = False
     tasks: tuple[str, ...] = static(default=())  # their names, where there is a list of them
     solved_in: Any = static(default=None)  # robot, scene or one a target, margin
+    joints: Any = static(default=None)  # where the nearest was asked for: what tells which joints bind
     ROW: ClassVar = "target"
     HELP: ClassVar = {
         Reason.OUT_OF_REACH: "check its unit, its frame, which is the robot's base, and the robot's tip, or move one of them",
@@ -97,11 +106,24 @@ class IKResult(Result):
         fault, words = np.asarray(self.fault, int), super().why
         if fault.any():
             words = np.where(fault > 0, np.array([f"{Reason.INVALID}: {text}" for text in FAULTS])[fault], words)
+        words = self._with_nearest(words)
         if self.tasks and (np.asarray(self.task) >= 0).any():
             each = zip(np.ravel(words), np.ravel(self.task), np.ravel(self.beyond), strict=True)
             told = [f"{self.tasks[task]}{_past(beyond)}: {text}" if task >= 0 else text for text, task, beyond in each]
             words = np.array(told, str).reshape(np.shape(self.task))
         return words if np.ndim(words) else str(words)
+
+    def _with_nearest(self, words: Any) -> Any:
+        """The words, where the reason is NEAREST how far the posture is, and what binds."""
+        rows = np.flatnonzero(np.ravel(self.reason) == Reason.NEAREST)
+        if not len(rows):
+            return words
+        told, shape = np.ravel(words).astype(object), np.shape(words)
+        flat = lambda x: np.reshape(x, (len(told), -1))
+        q, away, turned, certain = (flat(x) for x in (self.q, self.position_error, self.rotation_error, self.proven))
+        for row in rows:
+            told[row] = nearest_words(self.joints, q[row], away[row], turned[row], bool(certain[row, 0]))
+        return told.astype(str).reshape(shape)
 
     @functools.cached_property
     def offenders(self) -> tuple[Any, ...]:
@@ -150,8 +172,10 @@ def solve_ik(
 
     For a robot with a list of k tips a target is a pose of each, (k, 4, 4) or (N, k, 4, 4); so it is with `task=` a list of k
     tasks, each of which names its tip, and may be relative to another: `[Task.pose(tip="left"), Task.pose(tip="right",
-    relative="left")]`. All of them are reached at once, within the tolerances each. A task that names a tip, and is in no list,
-    takes poses (4, 4) or (N, 4, 4).
+    relative="left")]`. All of them are reached at once, within the tolerances each; several may be of one tip. Those with a
+    `weight` are soft: half the weight times the sum of their squares becomes small where the others are met. A task that names
+    a tip, and is in no list, takes poses (4, 4) or (N, 4, 4). A task that has its target (`Task.at`) takes none: where only one
+    of a list has to be given one, targets are (4, 4) or (N, 4, 4), and None where all have theirs.
 
     An answer keeps `margin` to the scene, and the robot to itself; without a scene to itself alone. A list of scenes has one
     for each target, or for the only one. Nothing is checked for a robot without collision geometry, and with
@@ -160,9 +184,13 @@ def solve_ik(
     A task that binds no rotation takes positions too, (3,) or (N, 3). `changes` are fields of `IKOptions` by name.
     `progress(done, total)` counts targets. Deterministic: `seed` decides, and a target's result does not depend on the others.
 
+    With `nearest=True` a target without an answer gets the nearest posture: its reason is NEAREST, `distance` says how far it
+    is, `proven` whether it is known that none is nearer. Among obstacles it is clear of them; where no such posture is found
+    the reason stays. Targets that have an answer keep theirs.
+
     Reasons: SOLVED; OUT_OF_REACH, proven by the robot's reach bound or its closed form; LIMITS, found only beyond them, which
     is a proof where the closed form knows all answers; COLLISION, found, but every one collides; NOT_CONVERGED; INVALID, the
-    target is no pose (`why` says what is wrong with it).
+    target is no pose (`why` says what is wrong with it); NEAREST.
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Warns of targets that look like millimetres, of what is
     in collision in every configuration, and of meshes that were not read.
@@ -171,8 +199,10 @@ def solve_ik(
     scenes: Any = tuple(scene) if isinstance(scene, list | tuple) else None
     check_kind("solve_ik", "robot", robot, Robot)
     robot, tasks = tasks_of("solve_ik", robot, options.task)
+    if options.nearest:
+        check_nearest(tasks)
     each = [_around(robot, one, options) for one in ((scene,) if scenes is None else scenes)]  # type: ignore[arg-type]
-    given = Poses.of(targets, tasks)
+    given, tasks = Poses.of(targets, tasks), tasks.asked
     if scenes is not None:
         given = given.of_scenes(len(scenes))
     for unseen in {words for _, words in each if words}:
@@ -225,7 +255,7 @@ def solved(
     count, size = len(targets.poses), TOLD if progress else TARGETS
     for start in range(0, max(1, count), size):
         part = problem.part(slice(start, start + size))
-        parts.append(_result(part, search(part)))
+        parts.append(_result(part, _answered(part)))
         if progress:
             progress(min(start + size, count), count)
     joined = IKResult.joined(parts)
@@ -248,10 +278,15 @@ def _solved_apart(
         first, *more = numbers
         end = first + len(more) + 1
         part = dataclasses.replace(problem.part(slice(first, end)), scene=around[first])
-        parts.append(_result(part, search(part)))
+        parts.append(_result(part, _answered(part)))
         if progress:
             progress(end, len(scenes))
     return dataclasses.replace(IKResult.joined(parts), solved_in=(robot, scenes, options.margin))
+
+
+def _answered(problem: Problem) -> Outcome:
+    outcome = search(problem)
+    return with_nearest(problem, outcome) if problem.options.nearest else outcome
 
 
 def _result(problem: Problem, outcome: Outcome) -> IKResult:
@@ -279,7 +314,7 @@ def _result(problem: Problem, outcome: Outcome) -> IKResult:
     width = max([1, *known]) if problem.options.solutions == "all" else problem.most
     solutions = np.full((count, width, n), np.nan)
     solutions[best.target, np.arange(len(best.target)) - np.searchsorted(best.target, best.target)] = best.q
-    errors = shown.position_error, shown.rotation_error
+    errors = _whole_errors(problem, shown) if problem.tasks.soft else (shown.position_error, shown.rotation_error)
     if problem.tasks.listed and not problem.tasks.stacked:
         errors = errors[0][:, None], errors[1][:, None]
     names = problem.tasks.names if problem.tasks.listed else ()
@@ -292,8 +327,25 @@ def _result(problem: Problem, outcome: Outcome) -> IKResult:
         num_solutions=known,
         fault=problem.fault,
         **_of_tasks(problem, outcome),
+        **_of_nearest(problem, shown),
         tasks=names,
     )
+
+
+def _of_nearest(problem: Problem, shown: Found) -> dict[str, Any]:
+    """Returns how far each posture is from its target, and whether none is nearer, where that was asked."""
+    if not problem.options.nearest:
+        return {name: np.full(len(shown.q), value) for name, value in (("distance", np.nan), ("proven", False))}
+    return {"distance": distances(problem, shown), "proven": proven(problem, shown), "joints": binding(problem)}
+
+
+def _whole_errors(problem: Problem, shown: Found) -> tuple[np.ndarray, np.ndarray]:
+    """The errors of all tasks, soft ones too, which do not count in the search."""
+    found = np.full((2, len(shown.q), len(problem.tasks.each)), np.nan)
+    known = np.flatnonzero(np.isfinite(shown.q).all(axis=1))
+    measured = solve_errors(problem.robot, problem.tasks, shown.q[known], problem.poses[shown.target[known]])
+    found[:, known] = np.reshape(measured, (2, len(known), -1))
+    return (found[0], found[1]) if problem.tasks.stacked else (found[0, :, 0], found[1, :, 0])
 
 
 def _of_tasks(problem: Problem, outcome: Outcome) -> dict[str, np.ndarray]:
@@ -332,18 +384,18 @@ def implicit_ik(
     """Makes a solution `q` (n,) a differentiable function of the target, the robot's numbers and the scene; of the targets
     (k, 4, 4) of a list of tips or tasks. Traced.
 
-    Its derivative is that of the solution that moves on with them: `q` minimises `cost` over what the task leaves free, or,
-    without one, moves as little as possible, `dq = -J+ dr`. Joints on their limits stay there, and links at `margin` [m] from
-    the scene and from each other; without a scene from each other alone, and with `collision=False` nothing is looked at.
-    `defined` is False where there is no derivative: at a singularity, where `q` is no (or no isolated) solution, where a limit
-    or an obstacle is touched without being pushed against, or where a capsule or triangle of the robot leans on anything but
-    points and spheres. Use float64.
+    Its derivative is that of the solution that moves on with them: `q` minimises `cost`, and the squares of soft tasks, over
+    what the task leaves free, or, without either, moves as little as possible, `dq = -J+ dr`. Joints on their limits stay
+    there, regions of a task hold as limits do, and links at `margin` [m] from the scene and from each other; without a scene
+    from each other alone, and with `collision=False` nothing is looked at. `defined` is False where there is no derivative: at
+    a singularity, where `q` is no (or no isolated) solution, where a limit, a region's edge or an obstacle is touched without
+    being pushed against, or where a capsule or triangle of the robot leans on anything but points and spheres. Use float64.
 
     Raises `ValueError` for a target, q or margin of another shape. Source: Fiacco 1976, through `optimise.implicit`.
     """
     looked, q = is_looked_at("implicit_ik", robot, scene, collision), as_configuration(robot, q)
     _, tasks = tasks_of("implicit_ik", robot, task)
-    as_numbers("target", target, tasks.shape)
+    whole_target(tasks, target, q.dtype)
     as_numbers("margin", margin, ())
     dtype = q.dtype
 
@@ -355,22 +407,32 @@ def implicit_ik(
         given = dict(zip(traced, t, strict=True))
         return jax.tree_util.tree_unflatten(tree, [given.get(i, leaf) for i, leaf in enumerate(leaves)])
 
-    def missed(x: Any, t: Any) -> Any:
+    def conditions(x: Any, t: Any) -> tuple[list[Any], list[Any]]:
         given, target, *_ = whole(t)
         its_robot, _ = tasks_of("implicit_ik", given, task)
-        poses = tasks.targets(jnp.asarray(target, x.dtype) if tasks.stacked else jnp.asarray(target, x.dtype).reshape(4, 4))
-        apart = tasks.residuals(joint_frames(its_robot, tracers(x), dtype=x.dtype), poses)
-        return jnp.stack([value for position, rotation in apart for value in position + rotation])
+        poses = tasks.targets(whole_target(tasks, target, x.dtype).astype(x.dtype))
+        return tasks.conditions(joint_frames(its_robot, tracers(x), dtype=x.dtype), poses)
 
-    equality = kernel(missed)
-    least = kernel(lambda x, t: 0.5 * jnp.sum((x - whole(t)[3]) ** 2) if cost is None else cost(x))
+    def worth(x: Any, t: Any) -> Any:
+        given, target, _, start = whole(t)
+        found: Any = 0.0 if cost is None else cost(x)
+        if tasks.soft:
+            its_robot, _ = tasks_of("implicit_ik", given, task)
+            found += soft_cost(its_robot, tasks.asked, x, whole_target(tasks, target, x.dtype).astype(x.dtype))
+        return found if cost is not None or tasks.soft else 0.5 * jnp.sum((x - start) ** 2)
+
+    stacked = lambda values, x: jnp.stack(values) if values else jnp.zeros(0, x.dtype)
+    equality = kernel(lambda x, t: stacked(conditions(x, t)[0], x))
+    inside = kernel(lambda x, t: stacked(conditions(x, t)[1], x))
+    least = kernel(worth)
 
     curved = looked and _curved_rightly(robot, scene)
     pushes = looked and (scene is not None or curved)  # else what is touched leaves no derivative, and is none of the equations
 
     def inequality(x: Any, t: Any) -> Any:
         its_robot, _, its_scene, _ = whole(t)
-        return link_clearances(its_robot, its_scene, x) - margin if pushes else jnp.zeros(0, dtype)  # a kernel
+        away = link_clearances(its_robot, its_scene, x) - margin if pushes else jnp.zeros(0, dtype)  # a kernel
+        return away if tasks.plain else jnp.concatenate([inside(x, t), away])
 
     t = [leaves[i] for i in traced]
     bounds = (jnp.asarray(b, dtype) for b in (robot.lower, robot.upper))

@@ -42,13 +42,15 @@ class DescendedIK(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """The goal of a lane: the tasks, the user's cost, and obstacles as a constraint or a penalty. Hashable: a program's key."""
+    """The goal of a lane: the tasks that must be met, the user's cost, obstacles as a constraint or a penalty, and whether soft
+    tasks are of the cost. Hashable: a program's key."""
 
     tasks: Tasks
     cost: Cost | None = None
     collision: str = "none"  # constraint, penalty
     activation: float = 0.05
     penalty: float = 100.0
+    soft: bool = False
 
 
 SEARCH = sqp.Options()
@@ -67,24 +69,37 @@ def descend_ik(
     robot: Robot, target: Float[Array, "*k 4 4"], q: Float[Array, " n"], *, task: Asked = POSE, iterations: int = 20
 ) -> DescendedIK:
     """Makes `iterations` SQP steps from the seed q (n,) towards `base_T_tip = target` (4, 4) [m], inside the robot's limits; of
-    a list of k tips, or of tasks, towards their targets (k, 4, 4). Traced.
+    a list of k tips, or of tasks, towards their targets (k, 4, 4), without those that tasks have themselves. Traced.
 
     This is one lane of what `solve_ik` makes of many seeds, for control loops and pipelines of one's own: `jit` and `vmap` it.
-    Only the returned errors judge it: where they are not small, take another seed. For the derivative of a solution
-    `implicit_ik` needs none of the steps. Raises `ValueError` for a target or q of another shape.
+    Only the returned errors judge it: where they are not small, take another seed. Those of soft tasks are not counted. For the
+    derivative of a solution `implicit_ik` needs none of the steps. Raises `ValueError` for a target or q of another shape; it
+    is None where all tasks have their targets.
     """
     q = as_configuration(robot, q)
     robot, tasks = tasks_of("descend_ik", robot, task)
-    target = as_numbers("target", target, tasks.shape)
-    found = _descend(robot, tasks, as_count("iterations", iterations), target if tasks.stacked else target.reshape(4, 4), q)
+    target = whole_target(tasks, target, q.dtype)
+    found = _descend(robot, tasks.asked, as_count("iterations", iterations), target, q)
     return found if tasks.stacked or not tasks.listed else DescendedIK(found.q, *(error[None] for error in found[1:]))
+
+
+def whole_target(tasks: Tasks, target: Any, dtype: Any) -> Any:
+    """One target of all tasks, (4, 4) or (k, 4, 4), of that which is given in the form of `tasks.shape`, or is None where
+    none is to be given. Raises `ValueError` for another shape."""
+    if not tasks.given:
+        if target is not None:
+            raise ValueError("target: all tasks have their own (Task.at); give None")
+        return jnp.asarray(tasks.whole_targets(None), dtype)
+    whole = tasks.whole_targets(as_numbers("target", target, tasks.shape))
+    return whole if tasks.stacked else whole.reshape(4, 4)
 
 
 @kernel(models=3)
 def _descend(robot: Robot, tasks: Tasks, iterations: int, target: Any, q: Any) -> DescendedIK:
     low, high = jnp.asarray(robot.lower, q.dtype), jnp.asarray(robot.upper, q.dtype)
-    limits = low, high, jnp.ones_like(q)
-    return land(robot, Goal(tasks), iterations, SEARCH, jnp.clip(q, low, high), target.astype(q.dtype), limits)
+    limits, options = (low, high, jnp.ones_like(q)), IMPROVE if tasks.soft else SEARCH
+    goal = Goal(tasks, soft=tasks.soft)
+    return land(robot, goal, iterations, options, jnp.clip(q, low, high), target.astype(q.dtype), limits)
 
 
 @functools.lru_cache(maxsize=256)
@@ -99,7 +114,7 @@ def land(
     """`sqp.run` from q to a pose; `limits` are lower, upper and weights, `around` is a scene, and the margin to keep."""
     low, high, weights = limits
     problem = _problem(robot, goal, pose, weights, around, q.dtype)
-    return DescendedIK(*_apart(robot, goal.tasks, *sqp.run(problem, q, low, high, iterations, options)))
+    return DescendedIK(*_apart(robot, goal.tasks, *sqp.run(problem, q, low, high, iterations, options), pose))
 
 
 def settle(
@@ -109,7 +124,7 @@ def settle(
     low, high, weights = limits
     problem = _problem(robot, Goal(tasks), pose, weights, (None, None), q.dtype)
     found, apart, count = sqp.settle(problem, jnp.clip(q, low, high), low, high, most, aim, creep, options)
-    return *_apart(robot, tasks, found, apart), count
+    return *_apart(robot, tasks, found, apart, pose), count
 
 
 def loosen(
@@ -119,13 +134,16 @@ def loosen(
     low, high, weights = limits
     problem = _problem(robot, Goal(tasks), pose, weights, (None, None), q.dtype, slack)
     found, _, count = sqp.settle(problem, jnp.clip(q, low, high), low, high, most, aim, jnp.inf, options)
-    return found, *errors(robot, tasks, found, pose), count
+    return found, *errors(robot, tasks, found, pose, False), count
 
 
-def errors(robot: Robot, tasks: Tasks, q: Any, pose: Any) -> tuple[Any, Any]:
-    """The errors of a configuration's tips [m], [rad]; one number, or (k,) of several tasks."""
+def errors(robot: Robot, tasks: Tasks, q: Any, pose: Any, soft: bool = True) -> tuple[Any, Any]:
+    """The errors of a configuration's tips [m], [rad]; one number, or (k,) of several tasks, 0 for `soft` ones unless they
+    count."""
     apart = tasks.residuals(joint_frames(robot, list(q), dtype=q.dtype), tasks.targets(pose))
     length = lambda x: safe_sqrt(sum(each * each for each in x)) if x else jnp.zeros((), q.dtype)
+    if not soft:
+        apart = [each if task.weight is None else ([], []) for each, task in zip(apart, tasks.each, strict=True)]
     return tasks.shaped([length(position) for position, _ in apart]), tasks.shaped([length(turn) for _, turn in apart])
 
 
@@ -134,6 +152,13 @@ def solve_errors(robot: Robot, task: Task | Tasks, q: np.ndarray, poses: np.ndar
     On the host."""
     tasks = Tasks.alone(task) if isinstance(task, Task) else task
     return in_blocks(batch(2, errors, robot, tasks), q, poses, double=True)
+
+
+def soft_cost(robot: Robot, tasks: Tasks, q: Any, pose: Any) -> Any:
+    """Half the sum of squares of the soft tasks' residuals [m, rad], times their weights."""
+    apart = tasks.residuals(joint_frames(robot, list(q), dtype=q.dtype), tasks.targets(pose))
+    given = zip(apart, tasks.each, strict=True)
+    return sum(0.5 * task.weight * dot(x, x) for each, task in given if task.weight is not None for x in each if x)
 
 
 def clearance_around(robot: Robot, q: Any, scene: Any) -> Any:
@@ -146,8 +171,10 @@ def slope(cost: Cost, q: Any) -> Any:
     return jax.grad(cost)(q)
 
 
-def _apart(robot: Robot, tasks: Tasks, found: Any, apart: Any) -> tuple[Any, Any, Any]:
-    """A configuration, and from its equations' values the errors [m], [rad]."""
+def _apart(robot: Robot, tasks: Tasks, found: Any, apart: Any, pose: Any) -> tuple[Any, Any, Any]:
+    """A configuration, and the errors [m], [rad]: from its equations' values, where they tell all."""
+    if not tasks.plain:
+        return found, *errors(robot, tasks, found, pose, False)
     length = lambda x: safe_sqrt(jnp.sum(x**2))
     away, turned, first = [], [], 0
     for task in tasks.each:
@@ -168,15 +195,53 @@ def _problem(robot: Robot, goal: Goal, pose: Any, weights: Any, around: Any, dty
 
     def model(x: Sequence[Scalar]) -> sqp.Model:
         frames = joint_frames(robot, x, dtype=dtype)
-        apart, rows = goal.tasks.residuals(frames, targets), goal.tasks.rows(robot, frames, targets)
-        parts = [part for each, of in zip(apart, rows, strict=True) for part in _scaled(*each, of, scale)]
-        if slack is not None:
-            parts = [_outside(part, slack[i % 2]) for i, part in enumerate(parts)]
-        equality = Rows([v for part in parts for v in part.value], [row for part in parts for row in part.matrix])
-        cost, gradient, inequality = _beside(robot, goal, stack(x, (n,), dtype), around, scale)
-        return sqp.Model(cost, gradient, equality, inequality)
+        if goal.tasks.plain or slack is not None:
+            equality, inside = _equations(robot, goal.tasks, frames, targets, scale, slack), NONE
+        else:
+            equality, inside = _limited(robot, goal.tasks, frames, targets, scale)
+        cost, gradient, inequality = beside(robot, goal, stack(x, (n,), dtype), around, scale)
+        if goal.soft:
+            cost, gradient = _softly(robot, goal.tasks, frames, targets, cost, gradient)
+        return sqp.Model(cost, gradient, equality, _both(inside, inequality) if inside.value else inequality)
 
     return sqp.Problem(model, metric)
+
+
+def _equations(robot: Robot, tasks: Tasks, frames: Any, targets: Any, scale: float, slack: Any) -> Rows:
+    """The residuals of the tasks that must be met as equations, or the parts of them beyond `slack`."""
+    apart, rows = tasks.residuals(frames, targets), tasks.rows(robot, frames, targets)
+    given = zip(apart, rows, tasks.each, strict=True)
+    parts = [part for each, of, task in given if task.weight is None for part in _scaled(*each, of, scale)]
+    if slack is not None:
+        parts = [_outside(part, slack[i % 2]) for i, part in enumerate(parts)]
+    return Rows([v for part in parts for v in part.value], [row for part in parts for row in part.matrix])
+
+
+def _limited(robot: Robot, tasks: Tasks, frames: Any, targets: Any, scale: float) -> tuple[Rows, Rows]:
+    """The equations and the inequalities of the tasks that must be met."""
+    equality, inequality = NONE, NONE
+    for zero, zero_rows, above, above_rows in tasks.constraints(robot, frames, targets, scale):
+        equality = _both(equality, Rows(zero, zero_rows))
+        inequality = _both(inequality, Rows(above, above_rows))
+    return equality, inequality
+
+
+def _both(one: Rows, other: Rows) -> Rows:
+    return Rows([*one.value, *other.value], [*one.matrix, *other.matrix])
+
+
+def _softly(
+    robot: Robot, tasks: Tasks, frames: Any, targets: Any, cost: Scalar, gradient: list[Scalar]
+) -> tuple[Scalar, list[Scalar]]:
+    """Cost and gradient with those of the soft tasks."""
+    given = zip(tasks.residuals(frames, targets), tasks.rows(robot, frames, targets), tasks.each, strict=True)
+    for (position, rotation), rows, task in given:
+        if task.weight is not None:
+            apart = [*position, *rotation]
+            cost = add(cost, mul(0.5 * task.weight, dot(apart, apart)))
+            rise = [dot(column(rows, j), apart) for j in range(len(gradient))]
+            gradient = [add(g, mul(task.weight, r)) for g, r in zip(gradient, rise, strict=True)]
+    return cost, gradient
 
 
 def _scaled(position: list[Scalar], rotation: list[Scalar], rows: list[list[Scalar]], scale: float) -> tuple[Rows, Rows]:
@@ -200,7 +265,7 @@ def _outside(rows: Rows, radius: Any) -> Rows:
     return Rows([rest * v for v in rows.value], matrix)
 
 
-def _beside(robot: Robot, goal: Goal, q: Any, around: Any, scale: float) -> tuple[Scalar, list[Scalar], Rows]:
+def beside(robot: Robot, goal: Goal, q: Any, around: Any, scale: float) -> tuple[Scalar, list[Scalar], Rows]:
     """Cost, its gradient, and the inequalities."""
     cost: Scalar = 0.0
     gradient: list[Scalar] = [0.0] * len(q)

@@ -34,7 +34,7 @@ from jaxik.checks.options import check_choices, is_finite_number, shown
 from jaxik.kinematics.task_regions import Region, region, regions_of
 from jaxik.optimise.linear import column, dot
 from jaxik.spatial.algebra import Frame, Rot3, Scalar, Vec3, add, atan2, mul, safe_sqrt, stack, sub
-from jaxik.spatial.rotations import direction_swing, log_slope, rotation_swing, rotation_vector, swing_slope
+from jaxik.spatial.rotations import about, direction_swing, log_slope, rotation_swing, rotation_vector, swing_slope
 
 Axes = Literal["tool", "base"]
 Component = Literal["x", "y", "z", "roll", "pitch", "yaw"]
@@ -264,6 +264,11 @@ class Task:
         return all(self.bound) and not self.within and self.weight is None
 
     @property
+    def turned(self) -> bool:
+        """Whether how the target is turned matters beyond the axes of its position."""
+        return (bool(self.rotations) and not self.looks) or self.function is not None
+
+    @property
     def plain(self) -> bool:
         """Whether its components are equations, of the pose."""
         return not (self.within or self.looks or self.function)
@@ -273,7 +278,10 @@ class Task:
         """The name by which it is told from others of the same tip."""
         if self.function is not None:
             return getattr(self.function, "__name__", "own")
+        wholes = ("x y z", "position"), ("roll pitch yaw", "rotation")
         bound = " ".join(name for name, b in zip(COMPONENTS, self.bound, strict=True) if b)
+        for parts, name in wholes:
+            bound = bound.replace(parts, name)
         found = "looking" if self.looks else "pose" if all(self.bound) else bound
         return f"{found} within {', '.join(each.words for each in self.within)}" if self.within else found
 
@@ -329,6 +337,46 @@ class Task:
         turned = [each for each in self.within if each.components[0] >= 3]
         return bool(turned) and not (len(turned) == 1 and 1 < len(turned[0].components) == len(self.rotations))
 
+    @property
+    def turn_known(self) -> bool:
+        """Whether the tip is turned as its target is."""
+        return len(self.rotations) == 3 and not any(each.components[0] >= 3 for each in self.within) and self.function is None
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # In numbers, on the host
+
+    def span(self, places: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The distances (N,) [m] from the origins of frames (N, 4, 4) to the nearest and to the farthest of the places that the
+        task leaves the tip, of targets (N, 4, 4); infinite where there is no farthest."""
+        apart = (places - targets)[:, :3, 3]
+        apart = np.einsum("nji,nj->ni", targets[:, :3, :3], apart) if self._in_tool else apart
+        regions = [each for each in self.within if each.components[0] < 3] if self.function is None else []
+        taken = {i for each in regions for i in each.components}
+        least = sum((apart[:, i] ** 2 for i in self.positions if i not in taken), np.zeros(len(apart)))
+        most = least + (0.0 if len(self.positions) == 3 else np.inf)
+        for each in regions:
+            own = apart[:, list(each.components)]
+            least = least + np.sum((own - each.nearest(own)) ** 2, axis=1)
+            most = most + each.farthest(own) ** 2
+        return np.sqrt(least), np.sqrt(most)
+
+    def drawn(self, targets: np.ndarray, share: np.ndarray | None, far: float) -> np.ndarray:
+        """Poses (N, 4, 4) that the regions allow, of targets (N, 4, 4): at a share (6,) in [0, 1] of them, what is endless up
+        to `far` [m] off; or without one the nearest to the target."""
+        if not self.within or self.looks or self.function is not None:
+            return targets
+        by = np.zeros(6)
+        for each in self.within:
+            own = list(each.components)
+            near = each.nearest(np.zeros((1, len(own))))[0]
+            by[own] = near if share is None else each.drawn(share[own], far if own[0] < 3 else np.pi)
+        angle = float(np.linalg.norm(by[3:]))
+        turn = about(by[3:] / angle, angle) if angle else np.eye(3)
+        moved = np.array(targets)
+        moved[:, :3, 3] += targets[:, :3, :3] @ by[:3] if self._in_tool else by[:3]
+        moved[:, :3, :3] = targets[:, :3, :3] @ turn if self._in_tool else turn @ targets[:, :3, :3]
+        return moved
+
     # ----------------------------------------------------------------------------------------------------------------
     # Residuals and rows
 
@@ -349,7 +397,10 @@ class Task:
     def rows(self, columns: list[tuple[Scalar, ...]], target: Frame, tip: Frame | None = None) -> Rows:
         """The rows of the geometric Jacobian (its columns in base axes) for the components of `residual`. Raises `ValueError`
         without the `tip` for a task that is not `plain`: where components are outside of their regions depends on it."""
-        rows = self.slopes(columns, target, tip)
+        return self._outer(self.slopes(columns, target, tip), tip, target)
+
+    def _outer(self, rows: Rows, tip: Frame | None, target: Frame) -> Rows:
+        """The rows of `residual`, of those of `measured`."""
         if not self.within:
             return rows
         values = self.measured(self._known(tip), target)
@@ -358,6 +409,17 @@ class Task:
             for i, row in zip(places, _times(factors, [rows[i] for i in places]), strict=True):
                 rows[i] = row
         return rows
+
+    def asked(self, twist: tuple[Scalar, ...], target: Frame, tip: Frame) -> list[Scalar]:
+        """The rates of the residual that would keep up with a target of this twist, in base axes."""
+        if self.function is not None:
+            matrix, wanted = _matrix(tip), _matrix(target)
+            rate = _rate(target.rotation, Vec3(*twist[:3]), Vec3(*twist[3:]), matrix.dtype)
+            moved = jax.jvp(lambda pose: self.function(matrix, pose), (wanted,), (rate,))[1]  # type: ignore[misc]
+            rates: Rows = [[sub(0.0, x)] for x in _entries(moved, self.size)]
+            return [row[0] for row in self._outer(rates, tip, target)]
+        given = (*twist[:3], 0.0, 0.0, 0.0) if self.looks else twist  # however a place that is looked at is turned
+        return [row[0] for row in self.rows([given], target, tip)]
 
     def measured(self, tip: Frame, target: Frame) -> list[Scalar]:
         """The components themselves, those of position first, wherever they may lie."""

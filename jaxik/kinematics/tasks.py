@@ -84,6 +84,21 @@ class Tasks(NamedTuple):
         a list but one have their targets."""
         return (self.given, 4, 4) if self.listed and not (self.given == 1 and self.fixed) else (4, 4)
 
+    @property
+    def given_names(self) -> tuple[str, ...]:
+        """The names of the tasks whose targets are given."""
+        return tuple(name for name, target in zip(self.names, self._own_targets, strict=True) if target is None)
+
+    @property
+    def turned(self) -> bool:
+        """Whether how targets that are given are turned matters to their tasks."""
+        given = zip(self.each, self._own_targets, strict=True)
+        return any(task.turned for task, target in given if target is None)
+
+    @property
+    def _own_targets(self) -> tuple[tuple[float, ...] | None, ...]:
+        return self.fixed or (None,) * len(self.each)
+
     def whole_targets(self, given: Any) -> Any:
         """Targets (..., k, 4, 4) of all of several tasks, or (..., 4, 4) of one, of those that are given, in the form of
         `shape`; those that tasks have themselves are put in. Numbers or traced."""
@@ -122,6 +137,13 @@ class Tasks(NamedTuple):
         plain = all(task.plain for task in self.each)
         given = zip(self.each, self.ends, targets, [None] * len(targets) if plain else self.frames(frames), strict=True)
         return [task.rows(_columns(robot, frames, ends), target, tip) for task, ends, target, tip in given]
+
+    def conditions(self, frames: JointFrames, targets: list[Frame]) -> tuple[list[Scalar], list[Scalar]]:
+        """The values that are zero, and those that are not negative, where all that must be met are."""
+        given = zip(self.each, self.frames(frames), targets, strict=True)
+        found = [task.conditions(tip, target) for task, tip, target in given if task.weight is None]
+        zero, above = ([value for each in found for value in each[i]] for i in (0, 1))
+        return zero, above
 
     def constraints(self, robot: Robot, frames: JointFrames, targets: list[Frame], scale: Scalar) -> list[tuple[Any, ...]]:
         """The `Task.constraints` of each that must be met."""

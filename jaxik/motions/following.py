@@ -31,6 +31,7 @@ from jaxik.options import choice, flag, number, per_joint
 from jaxik.pytree import static
 from jaxik.reasons import Reason
 from jaxik.results import Result
+from jaxik.spatial.algebra import IDENTITY, Frame, Vec3
 from jaxik.spmd import kernel
 from jaxik.spmd.batch import cores, in_blocks
 
@@ -139,6 +140,8 @@ def follow(
     n, most = robot.num_joints, options.acceleration
     if cost is not None and options.scheme == "rmrc":
         raise ValueError("follow: a cost with scheme 'rmrc', whose rates are the least; leave out one of them")
+    if options.scheme == "rac" and (options.task.looks or options.task.function is not None):
+        raise ValueError("follow: scheme 'rac' of a task that looks, or is one's own; take 'asc' or 'rmrc'")
     if isinstance(most, tuple) and len(most) != n:
         allowed = f"one, or one for each of the {n} joints of {robot.name}"
         raise ValueError(f"follow: acceleration has {len(most)} numbers; allowed: {allowed}")
@@ -317,6 +320,12 @@ def _moment(
 def _beyond(robot: Robot, task: Task, pose: Any) -> Any:
     """Whether a pose asks for a position that no configuration has, by the components that are bound."""
     bounds = reach_bound(robot, False)
+    if not task.plain:
+        if not task.positions:
+            return jnp.bool_(False)
+        middle = Frame(IDENTITY, Vec3(*(float(x) for x in bounds.origin)))
+        away = task.residual(middle, Frame.of_columns(pose))[0]  # to the nearest place that the task allows
+        return jnp.linalg.norm(jnp.asarray(away, pose.dtype)) > bounds.longest
     apart = pose[:3, 3] - jnp.asarray(bounds.origin, pose.dtype)
     if task.axes == "tool":
         apart = pose[:3, :3].T @ apart

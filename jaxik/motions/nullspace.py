@@ -16,10 +16,11 @@ the damping has none, as (4.22) prints it, so that all rates of the null space d
 by the sample time, (4.22) does not, and neither does `alpha` here: by table 4.1's factors and its sample of 1 ms a gradient
 would hardly move anything. For (4.16) to the letter multiply `alpha` by that time.
 
-The task is closed: `wdot_eff = wdot + K werr` and `wddot_eff = wddot + K' werrdot + K werr` (4.18), (4.19), so that integration
-does not drift. Near a singularity the pivots of A's Cholesky factorisation that fall below `floor` times their diagonal entry
-(the squared sine between a row of J and those before it) are raised, smoothly, towards it: rates stay bounded, the tip lags,
-and `damping` says how much was added. Where it is 0 the null space is exact.
+Components of a task inside their regions ask for nothing; what leaves a region, by a sample's motion, is brought back as an
+error is. The task is closed: `wdot_eff = wdot + K werr` and `wddot_eff = wddot + K' werrdot + K werr` (4.18), (4.19), so that
+integration does not drift. Near a singularity the pivots of A's Cholesky factorisation that fall below `floor` times their
+diagonal entry (the squared sine between a row of J and those before it) are raised, smoothly, towards it: rates stay bounded,
+the tip lags, and `damping` says how much was added. Where it is 0 the null space is exact.
 """
 
 from __future__ import annotations
@@ -58,6 +59,14 @@ def settles(gain: float | None, dt: float) -> bool:
     return 0.0 <= loop_gain(gain, dt) * dt < 2.0
 
 
+def check_task(who: str, task: Task) -> None:
+    """Raises `ValueError` for a task that a loop cannot hold: one that is soft, or has its own target, which is the path's."""
+    if task.weight is not None:
+        raise ValueError(f"{who}: weight {task.weight:g}: a loop holds its task; leave the weight out, or write it as a cost")
+    if task.target is not None:
+        raise ValueError(f"{who}: the path is the task's target; leave out Task.at")
+
+
 class LoopOptions(Options):
     """The options of all that hold the tip on its path, sample by sample of `dt` [s]."""
 
@@ -73,6 +82,7 @@ class LoopOptions(Options):
 
     def check(self) -> None:
         """Raises `ValueError` for a loop that does not settle."""
+        check_task(f"{self.who}: task", self.task)
         dt = self.dt  # type: ignore[attr-defined]  # each subclass has its own
         if not settles(self.gain, dt):
             raise ValueError(f"{self.who}: dt {dt}, gain {self.gain}; allowed: 0 <= gain dt < 2")
@@ -173,12 +183,14 @@ class TaskAt:
     (n,). Traced."""
 
     def __init__(self, robot: Robot, q: Any, motion: TipMotion, task: Task, weights: Any = None, floor: float = FLOOR):
+        check_task("task", task)
         self.q = q = as_configuration(robot, q)
         self.robot, self.task, self.dtype, self.motion, self.floor = robot, task, q.dtype, motion, floor
         self.inverse = inverse_weights(robot, weights, q.dtype)
         self.target = Frame.of_entries(traced(as_numbers("pose", motion.pose, (4, 4)).astype(q.dtype)))
         frames = joint_frames(robot, traced(q), dtype=q.dtype)
-        self.rows = jnp.asarray(task.rows(jacobian_columns(robot, frames), self.target), q.dtype)
+        self.tip = frames.tip
+        self.rows = jnp.asarray(task.rows(jacobian_columns(robot, frames), self.target, self.tip), q.dtype)
         position, rotation = task.residual(frames.tip, self.target)
         self.error = jnp.asarray(position + rotation, q.dtype)
 
@@ -200,7 +212,7 @@ class TaskAt:
     def _components(self, what: str, twist: Any) -> Any:
         """The components (m,) of a twist (6,) in base axes that the task binds."""
         twist = as_numbers(what, twist, (6,)).astype(self.dtype)
-        return jnp.asarray(self.task.rows([tuple(twist)], self.target))[:, 0]
+        return jnp.asarray(self.task.asked(tuple(twist), self.target, self.tip), self.dtype)
 
     def resolved(self, wanted: Any, u: Any, box: Box | None = None) -> Resolved:
         """`u + W^-1 J' A^-1 (wanted - J u)`; inside a box, with those joints held at their bounds that would leave it.
@@ -240,7 +252,10 @@ class TaskAt:
 
     def _solved(self, wanted: Any, free: Any, inverse: Any) -> tuple[Any, Any]:
         scaled = self.rows * inverse
-        y, damping = damped_solve(scaled @ self.rows.T, wanted - self.rows @ free, self.floor)
+        square = scaled @ self.rows.T
+        if not self.task.plain:  # rows of components inside their regions are 0, and ask for nothing
+            square = square + jnp.diag(jnp.where(jnp.diag(square) == 0.0, 1.0, 0.0))
+        y, damping = damped_solve(square, wanted - self.rows @ free, self.floor)
         return free + jnp.stack(y) @ scaled, damping
 
 

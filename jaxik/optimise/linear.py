@@ -48,6 +48,12 @@ def definite_solve(matrix: Matrix, right: Sequence[Scalar], smallest: float) -> 
     return _solve(matrix, right, lambda pivot, _: jnp.maximum(pivot, smallest))
 
 
+def magnitude_solve(matrix: Matrix, right: Sequence[Scalar], floor: Any) -> list[Any]:
+    """`x` with `(A + E) x = b` for a symmetric `A`, of which the lower triangle is read: a pivot counts with its magnitude, and
+    with at least `floor`, so that `b'x >= 0` for any `A` [Gill, Murray, Wright 1981, sec. 4.4.2]."""
+    return _solve(matrix, right, lambda pivot, _: jnp.maximum(abs(pivot), floor))
+
+
 def damped_solve(matrix: Matrix, right: Sequence[Scalar], floor: float) -> tuple[list[Any], Any]:
     """`x` with `(A + E) x = b`, and how much the diagonal E adds: the largest share of an entry of A's, 0 where none is needed.
 

@@ -130,7 +130,7 @@ def settle(
     values = jax.eval_shape(lambda: _arrays(tuple(problem.model(start).equality.value), far.dtype))
     begin = jnp.int32(0), jnp.bool_(False), tuple(start), tuple(jnp.zeros_like(far) for _ in values), (far, far)
     count, _, found, values, _ = lax.while_loop(lambda state: ~state[1], turn, begin)
-    return jnp.stack(found), jnp.stack(values), count
+    return jnp.stack(found), jnp.stack(values) if values else jnp.zeros(0, x.dtype), count
 
 
 def _judged(problem: Problem, state: Any, low: Sequence[Any], high: Sequence[Any], options: Options) -> Any:
@@ -224,7 +224,7 @@ def solve(
         counted = [[mul(on, x) for x in row] for on, row in zip(broken, rows, strict=True)]
         matrix = [[add(base[i][j], dot(column(counted, i), column(rows, j))) for j in range(i + 1)] for i in range(n)]
         vector = [sub(right[i], dot(column(counted, i), inequality.value)) for i in range(n)]
-        step = definite_solve(*_held(matrix, vector, free, held), smallest)
+        step = definite_solve(*with_held(matrix, vector, free, held), smallest)
         clipped = [jnp.clip(p, a, b) for p, a, b in zip(step, low, high, strict=True)]
         if number == passes:
             break
@@ -243,7 +243,7 @@ def _is_free(was: Any, step: Any, clipped: Any, wants: Any, low: Any, high: Any)
     return jnp.where(released | ((was == 1.0) & (step == clipped)), 1.0, 0.0)
 
 
-def _held(matrix: Matrix, right: Sequence[Scalar], free: Sequence[Scalar], held: Sequence[Scalar]) -> tuple[Any, Any]:
+def with_held(matrix: Matrix, right: Sequence[Scalar], free: Sequence[Scalar], held: Sequence[Scalar]) -> tuple[Any, Any]:
     """The system with the unknowns that are not `free` fixed at `held`."""
     n = len(right)
     moved = [sub(b, x) for b, x in zip(right, product(full(matrix), held), strict=True)]

@@ -104,6 +104,9 @@ class _Problem:
     ) -> tuple[JointPath | None, np.ndarray | None, np.ndarray | None]:
         """The spline, its points, and where there is none, where the trees came nearest. Counts walks in a row of `taken`."""
         gap = np.stack([self.start, self.goals[0]])
+        if self.most[0] and (self.goals[self.free] == self.start).all(axis=1).any():
+            still = np.stack([self.start, self.start])
+            return JointPath.polyline(still), still, None
         for step, cushion, share in LOOKS if self.free.any() and self.most[0] else ():
             manifold = Manifold(self.space, self.kept, step, float(kept_of(self.most, cushion)[0]), self.scene)
             left = int(share * rounds) - int(taken[row])

@@ -162,7 +162,7 @@ def _packed(search: Search, kept: list[Solved]) -> TrajectoryResult:
     spans = max([search.pieces if options.hastens else options.spans, *(each.found.points.shape[1] - degree for each in kept)])
     points, cost, parts = np.full((count, spans + degree, n), np.nan), np.full(count, np.nan), np.full((count, 4), np.nan)
     iterations, converged = np.zeros(count, int), np.zeros(count, bool)
-    size = max((sum(target.task.bound) for target in search.targets), default=0)
+    size = max((target.task.size for target in search.targets), default=0)
     multipliers = np.zeros((count, len(search.targets), size))
     pressure = np.zeros((count, spans + 1, kept[0].found.pressure.shape[2] if kept else 0))
     for rows, found, fastest in kept:

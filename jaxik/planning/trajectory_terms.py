@@ -228,7 +228,7 @@ class Terms:
         kept beyond the margin at each knot, and of the drives' limits the share `used` (B, 1 or spans + 1). Being cautious, a
         step moves nothing by more than `STRIDE`, in haste `BOLD`, and bounds hold between knots, too."""
         at = tuple(round(target.share * spans) for target in targets)
-        count = max((sum(target.task.bound) for target in targets), default=0)
+        count = max((target.task.size for target in targets), default=0)
         asked = functools.partial(self._equations, targets, count) if targets else None
         samples = functools.partial(self._samples, 0.0 if extra is None else extra, open_end, among)
         return programme.Problem(
@@ -357,7 +357,7 @@ class Terms:
         """The amounts by which configurations (b, j, n) miss their targets, padded to `count` rows each."""
         parts = []
         for j, target in enumerate(targets):
-            bound = sum(target.task.bound)
+            bound = target.task.size
             asked = q[:, j], np.ascontiguousarray(target.pose[which]), multipliers[:, j, :bound]
             residual, slopes, bend = in_blocks(_reached(self.robot, target.task), *asked, double=True)
             more = ((0, 0), (0, count - bound))
@@ -373,7 +373,7 @@ def _reached(robot: Robot, task: Task, q: Any, pose: Any, multipliers: Any) -> A
         x, target = traced(q), Frame.of_columns(pose)
         frames = joint_frames(robot, x, dtype=q.dtype)
         position, rotation = task.residual(frames.tip, target)
-        rows = task.rows(jacobian_columns(robot, frames), target)
+        rows = task.rows(jacobian_columns(robot, frames), target, frames.tip)
         slopes = stack([entry for row in rows for entry in row], (len(rows), len(x)), q.dtype)
         return multipliers @ slopes, (stack(position + rotation, (len(rows),), q.dtype), slopes)
 

@@ -23,7 +23,7 @@ from jaxik.checks.options import check_kind
 from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.clearances import check_geometry, clearance, link_clearances
 from jaxik.collision.scene import Scene
-from jaxik.ik.options import IKOptions
+from jaxik.ik.options import IKOptions, check_answers_only
 from jaxik.ik.problem import Poses, is_looked_at
 from jaxik.ik.solve import solve_ik
 from jaxik.kinematics.holding import hold_joints
@@ -149,7 +149,9 @@ def base_poses(
     Raises `ValueError` for arguments of a wrong shape, name or range, and for tolerances or references of one a target.
     """
     check_kind("base_poses", "robot", robot, Robot)
+    robot.only_tip("base_poses")
     options, robot = IKOptions.chosen(options, changes), _standing(robot)
+    check_answers_only("base_poses", options)
     looked = is_looked_at("base_poses", robot, scene, options.collision is not False)
     for name, most in (("position_tolerance", 0), ("rotation_tolerance", 0), ("reference", 1)):
         if getattr(options, name) is not None and np.ndim(getattr(options, name)) > most:
@@ -181,11 +183,13 @@ def _standing(robot: Robot) -> Robot:
 
 def _proven(robot: Robot, floor: Floor, base: np.ndarray, given: Poses, options: IKOptions) -> np.ndarray:
     """Whether (B, N) no base in each cell reaches each target within the tolerances."""
-    if len(options.task.positions) < 3:
+    task, here = options.task, np.eye(4)[None]
+    within = float(task.span(here, here)[1][0]) if task.positions and task.weight is None else np.inf
+    if not np.isfinite(within):
         return np.zeros((len(base), len(given.poses)), bool)
-    rotation = len(options.task.rotations) == 3
+    rotation = task.turn_known
     reach = np.linalg.norm(reach_bound(robot, rotation).tip_p)  # a turn of the tip moves the point that is bounded
-    slack = float(options.position_tolerance) + float(options.rotation_tolerance) * float(reach)
+    slack = within + float(options.position_tolerance) + float(options.rotation_tolerance) * float(reach)
     return floor.beyond(robot, base, given.poses, rotation=rotation, slack=slack) & (given.fault == 0)
 
 

@@ -321,6 +321,6 @@ def _search(study: Study, robot: Robot, poses: np.ndarray, valid: np.ndarray, ar
         columns["solutions"][rows] = found.num_solutions
         columns["reason"][rows], columns["reachable"][rows] = found.reason, found.success
         columns["proven"][rows] = np.isin(found.reason, (Reason.SOLVED, Reason.OUT_OF_REACH, Reason.INVALID))
-    if not all(study.ik.task.bound):  # a component that the target leaves free has no error
+    if not study.ik.task.whole:  # a component that the target leaves free has no error
         columns["rotation_error"][:] = np.nan
     return columns

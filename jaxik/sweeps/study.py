@@ -24,7 +24,7 @@ from jaxik.collision.scene import Scene
 from jaxik.files import load_scene
 from jaxik.files.robot_toml import UNITS, Table, read_toml
 from jaxik.files.targets import read_targets
-from jaxik.ik.options import IKOptions
+from jaxik.ik.options import IKOptions, check_answers_only
 from jaxik.kinematics.reach_bound import millimetres
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
@@ -97,6 +97,9 @@ class Study(PostureOptions, who="study"):
         content = dict(source) if isinstance(source, Mapping) else read_toml(path).content
         folder = Path() if isinstance(source, Mapping) else path.parent
         return _read(Table(path, "study", content | {k: v for k, v in changes.items() if v is not None}), folder)
+
+    def check(self) -> None:
+        check_answers_only("study: ik", self.ik)
 
     @property
     def shape(self) -> tuple[int, ...]:

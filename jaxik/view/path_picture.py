@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,8 @@ def plot_path(robot: Robot, poses: Any, result: PathResult, path: str | Path) ->
     places = np.asarray(poses, float)[:, :3, 3]
     i, j = sorted(np.argsort(np.nan_to_num(np.ptp(places, axis=0)))[1:].tolist())
     figure, (above, below) = plt.subplots(2, 1, figsize=(8.0, 9.0), height_ratios=[3, 2], layout="constrained")
-    above.set(xlabel=f"{AXES[i]} [m]", ylabel=f"{AXES[j]} [m]", title=str(result.why), aspect="equal")
+    above.margins(0.1)
+    above.set(xlabel=f"{AXES[i]} [m]", ylabel=f"{AXES[j]} [m]", title=textwrap.fill(str(result.why), 90), aspect="equal")
     above.plot(places[:, i], places[:, j], color=INK, lw=0.5)
     if result.success:
         state = result.trajectory.at_times(np.asarray(result.at))
@@ -41,7 +43,10 @@ def plot_path(robot: Robot, poses: Any, result: PathResult, path: str | Path) ->
         above.scatter(places[lifts, i], places[lifts, j], marker="^", color=BAD, label="lifts off", zorder=4)
     if result.arcs or result.lifts:
         above.legend()
-    _joints(below, robot, result)
+    if np.isfinite(result.q).any():
+        _joints(below, robot, result)
+    else:
+        below.set_axis_off()
     figure.savefig(path)
     plt.close(figure)
 

@@ -53,6 +53,24 @@ def test_one_answer_has_the_columns_of_many(tmp_path, monkeypatch):
     assert heads[0] == heads[1] and heads[0].startswith("target,solution,reason,position_error [m],")
 
 
+def test_the_nearest_of_what_cannot_be_had(tmp_path, monkeypatch, capsys):
+    """The distance is a column more, and the command does not fail."""
+    monkeypatch.chdir(tmp_path)
+    robot = jaxik.load("so100")
+    poses = np.stack([np.asarray(jaxik.forward_kinematics(robot, np.array([0.1, 1.0, -1.0, 0.2, 0.3]))), np.eye(4)])
+    np.savez("targets.npz", poses=poses)
+    IKArguments(robot="so100", targets="targets.npz", nearest=True, out=tmp_path / "ik.csv").run()
+    said = capsys.readouterr().out
+    IKArguments(robot="so100", targets="targets.npz", nearest=True, out=tmp_path / "ik.npz").run()
+    rows = list(csv.DictReader((tmp_path / "ik.csv").read_text().splitlines()))
+    result = jaxik.solve_ik(robot, poses, nearest=True)
+    assert "nearest: 1" in said and "proven to be the nearest: 0" in said and [row["solution"] for row in rows] == ["1", "0"]
+    assert [row["reason"] for row in rows] == ["solved", "nearest"] and rows[1]["proven"] == "False"
+    np.testing.assert_array_equal([float(row["distance [m]"]) for row in rows], result.distance)
+    with np.load("ik.npz", allow_pickle=False) as arrays:
+        np.testing.assert_array_equal(arrays["distance"], result.distance)
+
+
 SLOW = """
 import sys, time
 import jaxik, jaxik.cli.ik

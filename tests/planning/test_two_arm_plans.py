@@ -15,6 +15,7 @@ from jaxik.planning import plan_motion
 from jaxik.planning.kept_pose import KeptPose
 from jaxik.planning.limb_ways import limbs
 from jaxik.planning.trajectory import JointPath
+from jaxik.reasons import Reason
 
 RADIUS, JOINTS = 0.04, (("z", 0.0), ("y", 0.0), ("y", 0.35), ("y", 0.3), ("z", 0.0), ("x", 0.1))
 AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
@@ -116,6 +117,28 @@ def test_one_arm_moves_and_the_other_stands(two):
     assert one and len(one.waypoints) == 2
 
 
+def test_one_start_that_is_refused_leaves_the_others_their_motions(two):
+    starts = np.tile(APART, (3, 1))
+    starts[1, 7], starts[2, 8] = 2.5, np.nan  # of the arm that stands
+    pose = two.truth.pose(APART + 0.05, "left_hand")
+    moved = plan_motion(two.robot, starts, pose, moving="left_hand")
+    assert moved.reason.tolist() == [Reason.SOLVED, Reason.LIMITS, Reason.INVALID]
+    assert moved.where == ("", "start", "start")
+
+
+def test_a_list_of_one_tip_has_one(two):
+    pose = two.truth.pose(APART, "left_hand")
+    alone = plan_motion(two.robot.with_tips(["left_hand"]), APART, pose)
+    assert alone and alone.length == 0.0
+    assert plan_motion(two.robot, APART, pose, task=jaxik.Task.pose(tip="left_hand")).length == 0.0
+
+
+def test_hands_that_are_there_already_stand(two):
+    moved = plan_motion(two.robot, np.stack([APART, APART]), APART, keep=HANDS)
+    assert moved.success.all() and (moved.length == 0.0).all()
+    assert all(float(each.trajectory.duration) == 0.0 for each in moved)
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -170,3 +193,12 @@ def test_bounds_between_samples_hold(two, seed):
         q = [np.array([s**3, s**2, s, 1.0]) @ curve for s in np.linspace(0.0, length, 60)]
         off = np.linalg.norm([held(two, each, start).reshape(2, 3) for each in q], axis=2).max(axis=0)
         assert (off <= bounds[piece] + 1e-9).all() and (bounds[piece] < 1.1 * off + 0.01).all()
+
+
+def test_a_pose_of_no_tip_that_is_named():
+    """A pose, or one for each tip, does not say of several tips which goes there."""
+    robot = jaxik.load("p6r_pair")
+    poses = np.asarray(jaxik.forward_kinematics(robot, np.zeros(14)))
+    for goal in (poses[0], poses, poses[None]):
+        with pytest.raises(ValueError, match=r"a goal is a pose, and p6r_pair has the tips .*solve_ik\(robot, poses\)"):
+            jaxik.plan_motion(robot, np.zeros(14), goal)
