@@ -24,6 +24,7 @@ class Reason(IntEnum):
     SILENT = 9  # a device: it says nothing
     UNEXPLAINED = 10  # a log: most of a joint's torque is nothing that bodies and friction do
     NO_WAY = 11  # a motion: proven that none leads from its start to its goal
+    OFF_TASK = 12  # a motion: its start or its goal does not do what is to be kept along it
 
     @property
     def text(self) -> str:
