@@ -83,7 +83,9 @@ def cups(robot: jaxik.Robot, goals: list[motionbenchmaker.Goal], cone: float, se
     return found, len(goals) - len(found)
 
 
-def between(robot: jaxik.Robot, count: int, scene: jaxik.Scene, task: Task, draw: Callable[[bool], np.ndarray]) -> list[Problem]:
+def between(
+    robot: jaxik.Robot, count: int, scene: jaxik.Scene, task: Task, draw: Callable[[bool], np.ndarray]
+) -> list[Problem]:
     """So many problems between postures of poses that are drawn, of a start or of a goal."""
     found: list[Problem] = []
     while len(found) < count:
@@ -115,7 +117,9 @@ def paper(robot: jaxik.Robot, name: str, count: int) -> list[Problem]:
     middle, long = 0.5 * sum(MAZE), MAZE[1] - MAZE[0]
     walls = [wall(x, 0.0, 2.0 * WALL, WALLS[-1] - WALLS[0]) for x in MAZE]
     walls += [wall(middle, y, long, 2.0 * WALL) for y in (WALLS[0], WALLS[-1])]
-    walls += [wall(middle + side * 0.5 * GAP, y, long - GAP, 2.0 * WALL) for y, side in zip(WALLS[1:-1], (-1.0, 1.0), strict=True)]
+    walls += [
+        wall(middle + side * 0.5 * GAP, y, long - GAP, 2.0 * WALL) for y, side in zip(WALLS[1:-1], (-1.0, 1.0), strict=True)
+    ]
 
     def lane(goal: bool) -> np.ndarray:
         pose = about(rng.uniform(-1.0, 1.0), rng.uniform(MAZE[0] + 0.08, MAZE[1] - 0.08), 0.0)
@@ -128,7 +132,7 @@ def paper(robot: jaxik.Robot, name: str, count: int) -> list[Problem]:
 def off(robot: pin.Model, frame: int, task: Task, q: np.ndarray) -> np.ndarray:
     """How far (2,) configurations are off at most, by Pinocchio: in the place [m] and the direction [rad] that a task binds."""
     data, target = robot.createData(), np.reshape(task.target, (4, 4))
-    free = "xyz".index({"roll": "x", "pitch": "y", "yaw": "z"}[next(n for n in ("roll", "pitch", "yaw") if not task.bound[3 + "rpy".index(n[0])])])
+    free = next(i for i in range(3) if not task.bound[3 + i])
     cone = max((region.high for region in task.within), default=0.0)
     worst = np.zeros(2)
     for each in q:
@@ -159,14 +163,14 @@ def asked(robot: jaxik.Robot, problems: list[Problem], model: tuple[pin.Model, i
     return {
         "problems": len(problems),
         "solved": len(motions),
-        "straight": sum(moved.rounds == 0 for _, moved in motions),
+        "straight": int(sum(moved.rounds == 0 for _, moved in motions)),
         "p50_ms": 1e3 * p50,
         "p95_ms": 1e3 * p95,
         "mean_ms": 1e3 * float(np.mean([seconds for _, seconds in each])),
         "judged": looked,
         "off_mm": 1e3 * float(worst[0]),
         "off_mrad": 1e3 * float(worst[1]),
-        "collide": hits,
+        "collide": int(hits),
         "duration_s": float(np.median([moved.trajectory.duration for _, moved in motions])) if motions else float("nan"),
         "failed": [f"{k}: {moved.why}" for k, (moved, _) in enumerate(each) if not moved],
     }

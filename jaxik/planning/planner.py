@@ -70,14 +70,13 @@ def plan_motion(
     that is proven, too; `time_path` times it. With `moving`, such as the one arm of two that is named by its tip, all other
     joints stand. With `along` a task, or several, is kept within `along_within` on the whole way, a spline, which is proven
     between samples, too; its `waypoints` are the spline's knots. Two tips that hold one thing are a pose of the one `relative`
-    to the other. Postures of a pose are then those that keep the tasks. `seed` decides. `progress` is called
-    with the motions that are done and their number; of a single one with rounds of the search. `changes` are fields of
-    `PlanOptions`.
+    to the other. Postures of a pose are then those that keep the tasks. `seed` decides. `progress` is called with the motions
+    that are done and their number; of a single one with rounds of the search. `changes` are fields of `PlanOptions`.
 
     Reasons: SOLVED; INVALID, NaN in the start or the goal; LIMITS, COLLISION of the `start` or the `goal`, whichever is in
     `where`; OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED, no way found within the rounds and the timeout
-    that keeps 0.01 mm more than the margin, which is no proof that there is none; OFF_TASK, the start or the goal, whichever is in
-    `where`, does not do what `along` asks, by how much is in `off`; NO_WAY, a proof by cells that there is none,
+    that keeps 0.01 mm more than the margin, which is no proof that there is none; OFF_TASK, the start or the goal, whichever is
+    in `where`, does not do what `along` asks, by how much is in `off`; NO_WAY, a proof by cells that there is none,
     of arms of three joints at most, from a start that was not led out to goals that are configurations.
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Sources: Kuffner and LaValle, RRT-Connect, 2000;
