@@ -97,8 +97,13 @@ TABLES = {
 
 
 def table(name: str) -> str:
-    """The table of a benchmark's JSON file, or the "overview" of them all."""
-    return overview() if name == "overview" else TABLES[name](_result(name))
+    """The table of a benchmark's JSON file and the machine that it ran on, or the "overview" of them all."""
+    if name == "overview":
+        return overview()
+    result = _result(name)
+    told = result.get("machine", result)
+    where = f"Machine: {told['cpu']}, jax {told['jax']}." if "cpu" in told else ""
+    return f"{TABLES[name](result)}\n\n{where}".rstrip()
 
 
 def tables() -> list[str]:

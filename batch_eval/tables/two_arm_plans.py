@@ -21,7 +21,7 @@ def two_arm_plans_markdown(result: dict[str, Any]) -> str:
         {name: f"{row[key]:.0f} ms" for name, row in (("alone", alone), ("tray", tray))} for key in ("p50_ms", "p95_ms")
     )
     told = [
-        f"Asked is every {_th(result['every'])} problem of each of the first two sets, on a machine that others used. Of the "
+        f"Asked is every {_th(result['every'])} problem of each of the first two sets. Of the "
         f"{refused} whose goal is refused coal, too, finds {hit} in collision. With five seeds {seeds['solved']} of "
         f"{seeds['asked']} are solved. A first call takes {first['compiling']['first_s']:.1f} s, "
         f"{first['kernels_on_disk']['first_s']:.1f} s with its kernels on disk.",

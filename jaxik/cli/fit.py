@@ -23,6 +23,7 @@ HELD = ("joint", "driven by", "value [rad, m]", "carries")
 LEFT = {
     "named": "no: as told",
     "touches": "no: meshes mostly touch",
+    "nested": "no: only parts touch",
     "neighbours": "no: neighbours",
     "never": "no: never touch",
 }

@@ -1,4 +1,4 @@
-"""`jaxik ik`: a configuration for every target of a file, or the reason why there is none."""
+"""`jaxik ik`: a configuration for every target of a file, of one tip or of several at once, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 import sys
 import time
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import jax
 import numpy as np
@@ -15,15 +15,17 @@ import tyro
 import jaxik
 from jaxik.checks.options import check_seed, optional
 from jaxik.cli.arguments import SearchArguments, flags, given
-from jaxik.cli.results import check_writable, offenders, write_csv, writing
+from jaxik.cli.results import UNITS, check_writable, offenders, write_csv, writing
 from jaxik.cli.terminal import STOPPED, Patience, progress_bar
 from jaxik.ik.problem import FAULTS
 from jaxik.ik.sqp_programs import solve_errors
+from jaxik.kinematics.tasks import tasks_of
 from jaxik.reasons import texts
 from jaxik.spatial.rotations import frame
 
 AT_ONCE = 1024  # targets, between which Ctrl-C is heard
 SHOWN = 5  # invalid targets of which it is said why
+ERRORS = ("position_error", "rotation_error")
 
 
 FLAGS = flags(
@@ -47,12 +49,14 @@ FLAGS = flags(
 class IKArguments(FLAGS, SearchArguments):
     """A configuration for every target of a file, or the reason why there is none."""
 
+    SEVERAL: ClassVar[bool] = True
     targets: tyro.conf.Positional[Path]
-    """Targets in the robot's base: .csv (x, y, z, qw, qx, qy, qz), .npz (poses, or positions and wxyz) or .json."""
+    """Targets in the robot's base: .csv (x, y, z, qw, qx, qy, qz), .npz (poses, or positions and wxyz) or .json. Several
+    tips have a target each: columns with the tip's name in front, left_hand_x, an axis of tips, or objects by their names."""
     collision: bool = True
     """Keep clear of the scene and of the robot itself; --no-collision asks for kinematics alone."""
     free: tuple[Literal["x", "y", "z", "roll", "pitch", "yaw"], ...] = ()
-    """Components that a target leaves free."""
+    """Components that a target leaves free; of several tips those of each."""
     axes: Literal["tool", "base"] = "tool"
     """Along and about whose axes they are counted: the target's own ("tool"), or the base's."""
     out: Path = Path("ik.npz")
@@ -68,8 +72,11 @@ class IKArguments(FLAGS, SearchArguments):
         check_seed("solve_ik", self.seed)
         robot = jaxik.load(self.robot, **self.loading())
         scene = None if self.scene is None else jaxik.load_scene(self.scene)
-        targets = jaxik.load_targets(self.targets)
-        free = (*self.free, *(("roll", "pitch", "yaw") if targets.ndim == 2 else ()))  # a position says nothing of rotation
+        targets = jaxik.load_targets(self.targets, tips=listed_tips(robot))
+        free = (
+            *self.free,
+            *(("roll", "pitch", "yaw") if targets.shape[-1] == 3 else ()),
+        )  # a position says nothing of rotation
         chosen = given(self, jaxik.IKOptions)
         chosen["collision"] = "constraint" if self.collision else False
         options = jaxik.IKOptions(task=jaxik.Task.pose(free, axes=self.axes), **chosen)
@@ -89,14 +96,15 @@ class IKArguments(FLAGS, SearchArguments):
 
     def _print(self, result: jaxik.ik.IKResult, targets: np.ndarray, seconds: float, wrote: str) -> None:
         """A line a reason, and one of counts and times. Exits where not all are solved, or not all were tried."""
-        if targets.ndim == 2:
+        if targets.shape[-1] == 3:
             print(f"position only: {self.targets} binds no rotation")
         counts = result.counts()
         for reason, count in counts.items():
             if reason != "solved":
-                print(f"{reason}: {count}")
+                print(f"{reason}: {count}{_blamed(result[texts(result.reason) == reason])}")
         for i in np.flatnonzero(result.fault)[:SHOWN]:
-            print(f"target {i + 1}: {FAULTS[result.fault[i]]}")
+            tip = f"{result.tasks[result.task[i]]}: " if result.tasks else ""
+            print(f"target {i + 1}: {tip}{FAULTS[result.fault[i]]}")
         if said := offenders(result):
             print(said)
         if self.solutions != 1:
@@ -110,18 +118,32 @@ class IKArguments(FLAGS, SearchArguments):
             raise SystemExit(1)
 
 
+def listed_tips(robot: jaxik.Robot) -> tuple[str, ...]:
+    """The names of a robot's tips where it has a list of them, each of which has its own target; else ()."""
+    return robot.tip_names if np.ndim(robot.joint_T_tip) == 3 else ()
+
+
+def _blamed(result: jaxik.ik.IKResult) -> str:
+    """The tips that a reason is of, with how often; "" where it is of none."""
+    counts = {tip: np.count_nonzero(result.task == i) for i, tip in enumerate(result.tasks)}
+    told = ", ".join(f"{tip} {count}" for tip, count in counts.items() if count)
+    return f" ({told})" if told else ""
+
+
 def write_ik(robot: jaxik.Robot, result: jaxik.ik.IKResult, out: Path, table: dict[str, np.ndarray]) -> None:
     """The results of a batch: arrays (.npz, no pickle), one row a target, or a table (.csv, .parquet), one row an answer."""
     names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations", "solutions", "num_solutions")
     if out.suffix.lower() == ".npz":
         columns = {"reason": texts(result.reason), **{name: getattr(result, name) for name in names}}
+        if result.tasks:
+            columns |= {"tip": _tip(result), "tip_names": np.array(result.tasks)}
         np.savez(out, allow_pickle=False, joint_names=np.array(robot.joint_names), q=result.q, **columns)
     elif out.suffix.lower() == ".parquet":
         import pyarrow.parquet
 
         pyarrow.parquet.write_table(pyarrow.table(table), out)
     else:
-        write_csv(out, table)
+        write_csv(out, table, UNITS | {f"{tip}_{name}": UNITS[name] for tip in result.tasks for name in ERRORS})
 
 
 def _table(
@@ -136,12 +158,22 @@ def _table(
     errors: list[np.ndarray] = [result.position_error[target], result.rotation_error[target]]
     clearance = result.clearance[target]
     if not first.all():
-        poses = frame(targets) if targets.ndim == 2 else targets
-        others = solve_errors(robot, options.task, q, poses[target])
-        errors = [np.where(first, best, each) for best, each in zip(errors, others, strict=True)]
+        poses = frame(targets) if targets.shape[-1] == 3 else targets
+        others = solve_errors(*tasks_of("ik", robot, options.task), q, poses[target])
+        of_first = first.reshape(-1, *[1] * (errors[0].ndim - 1))
+        errors = [np.where(of_first, best, each) for best, each in zip(errors, others, strict=True)]
         gap = jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)))
         clearance = clearance if np.isnan(result.clearance).all() else np.where(first, clearance, gap(q))
     columns = {"target": target + 1, "solution": np.where(solved, number + 1, 0), "reason": texts(result.reason)[target]}
-    columns |= {"position_error": errors[0], "rotation_error": errors[1], "clearance": clearance}
+    if result.tasks:
+        columns |= {"tip": _tip(result)[target]}
+    for name, error in zip(ERRORS, errors, strict=True):
+        columns |= {f"{tip}_{name}": error[:, i] for i, tip in enumerate(result.tasks)} or {name: error}
+    columns |= {"clearance": clearance}
     columns |= {"seed": result.seed[target], "iterations": result.iterations[target]}
     return columns | dict(zip(robot.joint_names, q.T, strict=True))
+
+
+def _tip(result: jaxik.ik.IKResult) -> np.ndarray:
+    """The name of the tip that the reason is of, "" where it is of all or of none (N,)."""
+    return np.array([*result.tasks, ""])[result.task]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from jaxik.fitting.capsules import FitOptions
 from jaxik.fitting.links import Shape, link_surfaces
 from jaxik.fitting.model import FitReport, fit_of, modelled
 from jaxik.kinematics.robot import Robot, solid_links
+from jaxik.kinematics.shapes import Unchecked
 from jaxik.options import Options, anything, flag, instance
 from jaxik.reasons import LoadError
 
@@ -255,18 +256,21 @@ def _tell(robot: Robot, what: str, at_home: Mapping[tuple[int, int], float | Non
 
 
 def _tell_unchecked(robot: Robot) -> None:
-    """One line of the pairs that are not checked since they touch mostly, but for neighbours, whose bearings do."""
+    """A line of the pairs that are not checked since they touch mostly, but for neighbours, whose bearings do; and one of those
+    whose parts alone do."""
     joint = dict(zip(robot.link_names, robot.link_joint, strict=True))
-    apart = lambda links: abs(joint[links[0]] - joint[links[1]])
-    told = [u for u in robot.unchecked if u.reason == "touches" and u.share > TOLD and apart(u.links) > 1]
-    if told:
-        some = _some(f"{a} and {b} in {u.share:.0%}, by {1e3 * u.depth:.1f} mm" for u in told for a, b in [u.links])
-        mend = f"pairs=[{told[0].links}, ...] (--pairs {':'.join(told[0].links)}) checks them"
-        warnings.warn(
-            f"{robot.name}: these pairs of links are not checked, because their meshes touch in most random configurations: "
-            f"{some}; {mend}",
-            stacklevel=3,
-        )
+    apart = lambda links: robot.tree.distance(*(joint[name] for name in links))
+    mostly = [u for u in robot.unchecked if u.reason == "touches" and u.share > TOLD and apart(u.links) > 1]
+    nested = [u for u in robot.unchecked if u.reason == "nested"]
+    _tell_pairs(robot, mostly, "their meshes touch in most random configurations", lambda u: f" in {u.share:.0%}")
+    _tell_pairs(robot, nested, "their meshes never touch, and the convex parts around them mostly do", lambda u: "")
+
+
+def _tell_pairs(robot: Robot, pairs: Sequence[Unchecked], why: str, share: Callable[[Unchecked], str]) -> None:
+    if pairs:
+        some = _some(f"{' and '.join(u.links)}{share(u)}, by {1e3 * u.depth:.1f} mm" for u in pairs)
+        mend = f"pairs=[{pairs[0].links}, ...] (--pairs {':'.join(pairs[0].links)}) checks them"
+        warnings.warn(f"{robot.name}: these pairs of links are not checked, because {why}: {some}; {mend}", stacklevel=4)
 
 
 def _some(words: Iterable[str]) -> str:

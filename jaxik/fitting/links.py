@@ -3,7 +3,8 @@ pairs of links are checked against each other.
 
 A pair is not checked that does not move, or whose surfaces touch in at least half of the configurations: they are meant to; nor
 one whose parts do not overlap, neither there nor in a search from the nearest configurations. Where parts overlap and surfaces
-do not, parts are cut: so there are many where other links pass, and few elsewhere.
+do not, parts are cut: so there are many where other links pass, and few elsewhere. A pair whose parts even then overlap in at
+least half of the configurations, and its surfaces in none, is not checked either: one link moves in a hollow of the other.
 """
 
 from __future__ import annotations
@@ -204,6 +205,19 @@ class Links:
         if self.neighbours(pair):
             return "neighbours" if share else "never"
         return "" if share or self.collides(pair, gap) else "never"
+
+    def nested(self, pairs: Sequence[Pair], touch: Hits) -> dict[Pair, Unchecked]:
+        """The pairs whose surfaces never touch while their parts mostly overlap, however these are cut: checked, they would let
+        no configuration be free."""
+        found = {}
+        for pair in pairs:
+            names = self.names[pair[0]], self.names[pair[1]]
+            if touch[pair].any() or self.asked.all or frozenset(names) in self.asked.checked:
+                continue
+            if (falsely := self.falsely(pair, touch[pair])).mean() >= MOSTLY:
+                depth = float(self.depth(pair, self.q[np.flatnonzero(falsely)[:SHOWN]]).max())
+                found[pair] = Unchecked(names, "nested", 0.0, depth)
+        return found
 
     def signed(self, pair: Pair, q: np.ndarray, enough: float) -> np.ndarray:
         """The gap of a pair of links at configurations `q` (n,) [m], at least `enough` where it is no less; where they overlap,

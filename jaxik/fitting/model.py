@@ -42,7 +42,7 @@ SPARED = 0.003  # of the configurations, the closest, that are no measure of a g
 LEAST = 3  # capsules that a part may have, of however many
 TABLED = 0.02  # of the configurations, in which capsules falsely collide that get a table
 SAMPLED = 2000  # points of a mesh's surface, and of a model's
-_VERSION = 32  # of what is stored
+_VERSION = 33  # of what is stored
 
 
 class Model(NamedTuple):
@@ -133,6 +133,8 @@ class _Fitting(Links):
         kept, left, touch, passes = self.chosen()
         if self.cut_where_links_pass({pair: touch[pair] for pair in kept}):
             passes = {pair: self.passes(pair) for pair in kept}
+        nested = self.nested(kept, touch)
+        kept, left = [pair for pair in kept if pair not in nested], (*left, *nested.values())
         fits = []
         for number, pieces in enumerate(self.few):
             most = max(self.fit.most // len(pieces), min(self.fit.most, LEAST))

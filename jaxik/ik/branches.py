@@ -116,6 +116,8 @@ def _apart(
         near.append(shown.rows(top(shown.target, np.zeros(len(shown.target)), 1)))
     most = 1 if count == 1 else MOST if count == "all" else max(TRIED, int(count))
     found = _led(problem, _combined(problem, branches, kept, most))
+    apart = (reason == SOLVED) & ~_has(found, len(reason))  # each has an answer, and together they are none
+    reason, task = np.where(apart, Reason.NOT_CONVERGED, reason), np.where(apart, -1, task)
     if (reason == SOLVED).all():
         return reason, task, found, nothing(problem)
     lost = (reason != SOLVED) & (reason != Reason.OUT_OF_REACH)
@@ -142,7 +144,7 @@ def _led(problem: Problem, found: Found) -> Found:
 
 def _combined(problem: Problem, branches: tuple[Branch, ...], each: list[Found], most: int) -> Found:
     """Each answer of each branch with each of the others', up to `most` of a target, those of the first ones first. Joints of
-    no branch are at home."""
+    no branch are at home, or at the limit that is nearest."""
     targets = len(problem.tolerance)
     target = np.arange(targets)
     rank, row = np.zeros(targets, int), np.zeros((targets, 0), int)  # of which answers of the branches each is made
@@ -155,7 +157,7 @@ def _combined(problem: Problem, branches: tuple[Branch, ...], each: list[Found],
         target, rank, row = target[before], rank[before] + number, np.column_stack([row[before], rows])
         best = top(target, -rank, most) if most < len(target) else slice(None)
         target, rank, row = target[best], rank[best], row[best]
-    q = np.array(problem.home(target))
+    q = np.clip(problem.home(target), problem.low, problem.high)
     seed, steps = np.zeros((2, len(target)), int)
     for branch, found, rows in zip(branches, each, row.T, strict=True):
         q[:, branch.joints] = found.q[rows]

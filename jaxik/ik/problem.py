@@ -20,7 +20,7 @@ from jaxik.collision.scene import Scene
 from jaxik.costs import check_cost
 from jaxik.ik import seeds, sqp_programs
 from jaxik.ik.options import IKOptions
-from jaxik.kinematics.joint_turns import TURN
+from jaxik.kinematics.joint_turns import TURN, periodic
 from jaxik.kinematics.robot import Robot, finite_range
 from jaxik.kinematics.task import Task
 from jaxik.kinematics.tasks import BASE_END, Tasks
@@ -260,7 +260,7 @@ class Problem:
     def circles(self) -> np.ndarray:
         """Whether each joint (n,) turns all the way round inside its limits, up to what a file rounds off [rad]."""
         span = self.high - self.low
-        return ~np.array(self.robot.is_prismatic) & np.isfinite(span) & (span >= TURN - ROUNDED)
+        return periodic(self.robot) & np.isfinite(span) & (span >= TURN - ROUNDED)
 
     @functools.cached_property
     def round_limits(self) -> tuple[np.ndarray, ...]:
@@ -280,7 +280,7 @@ class Problem:
     @functools.cached_property
     def may_turn(self) -> np.ndarray:
         """Whether each joint (n,) has several turns of one posture inside its limits."""
-        return ~np.array(self.robot.is_prismatic) & (self.high - self.low >= TURN)
+        return periodic(self.robot) & (self.high - self.low >= TURN)
 
     @property
     def turnable(self) -> np.ndarray:
@@ -330,7 +330,7 @@ def _range(robot: Robot, lower: tuple[float, ...], upper: tuple[float, ...], one
     holds the same postures again, and limits to run into."""
     low, high = finite_range(robot, np.array(lower), np.array(upper))
     if one_turn:
-        over = np.where(robot.is_prismatic, 0.0, np.maximum(high - low - TURN, 0.0)) / 2.0
+        over = np.where(periodic(robot), np.maximum(high - low - TURN, 0.0), 0.0) / 2.0
         low, high = low + over, high - over
     return seeds.Range.of(low, high)
 

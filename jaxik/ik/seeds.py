@@ -162,7 +162,8 @@ class _Set(NamedTuple):
 def _set(robot: Robot, tasks: Tasks, inside: Range, length: float, number: int) -> _Set:
     # the user's seed does not change it: it is built once a robot
     q = uniform(inside, 0, number, LATER if number else FIRST)
-    features = _all_features(tasks, [each.matrices for each in tasks.frames(joint_frames(robot, list(q.T)))], length)
+    frames = tasks.frames(joint_frames(robot, list(q.T)))  # what no joint moves has only one
+    features = _all_features(tasks, [np.broadcast_to(each.matrices, (len(q), 4, 4)) for each in frames], length)
     return read_only(_Set(q.astype(np.float32), np.column_stack([features, -0.5 * np.sum(features**2, axis=1)])))
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxik.checks.arrays import Array, numbers
+from jaxik.checks.arrays import Array, is_known, numbers
 from jaxik.checks.options import check_kind
 from jaxik.kinematics.robot import Robot
 from jaxik.spatial.algebra import Scalar
@@ -18,13 +18,22 @@ from jaxik.spatial.ball import whole
 TURN = 2.0 * math.pi
 
 
+def periodic(robot: Robot) -> np.ndarray:
+    """Whether a full turn of each joint (n,) leaves the robot as it was: it turns, and what follows it (mimic) turns whole
+    turns with it."""
+    found = ~np.array(robot.is_prismatic)
+    for m in robot.mimics:
+        found[m.joint] &= m.type != "prismatic" and is_known(m.factor) and float(m.factor).is_integer()
+    return found
+
+
 def into_limits(robot: Robot, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b n"], Bool[Array, "*b"]]:
     """Turns each joint by the multiple of 2 pi that brings it nearest to the middle of its range; returns also whether all fit.
 
     A value that rounding puts past a limit is put on it.
     """
     lower, upper = jnp.asarray(robot.lower, q.dtype), jnp.asarray(robot.upper, q.dtype)
-    turns = (np.isfinite(robot.lower) | np.isfinite(robot.upper)) & ~np.array(robot.is_prismatic)
+    turns = (np.isfinite(robot.lower) | np.isfinite(robot.upper)) & periodic(robot)
     middle = jnp.asarray(np.where(turns, sum(robot.finite_limits) / 2.0, 0.0), q.dtype)
     turned = q + jnp.where(turns, jnp.round((middle - q) / TURN) * TURN, 0.0)
     clipped = jnp.clip(turned, lower, upper)
@@ -36,7 +45,8 @@ def into_limits(robot: Robot, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b
 def turns(robot: Robot, q: Float[Array, " n"], *, lower: Any = None, upper: Any = None) -> Float[np.ndarray, "m n"]:
     """Returns every configuration inside the limits that differs from `q` (n,) by full turns of revolute joints. Host.
 
-    `lower` and `upper` (n,) are narrower limits than the robot's [rad, m]. A joint without both limits keeps its value.
+    `lower` and `upper` (n,) are narrower limits than the robot's [rad, m]. A joint without both limits keeps its value, and so
+    does one that another follows (mimic) by more or less than whole turns: a full turn of it is another posture.
     Raises `ValueError` for another shape.
     """
     check_kind("turns", "robot", robot, Robot)
@@ -49,7 +59,7 @@ def turns(robot: Robot, q: Float[Array, " n"], *, lower: Any = None, upper: Any 
 
 def all_turns(robot: Robot, q: Any, lower: Any, upper: Any) -> tuple[np.ndarray, np.ndarray]:
     """Returns the `turns` of rows `q` (N, n): the row that each belongs to (m,), and the configurations (m, n). Host."""
-    turns = ~np.array(robot.is_prismatic) & np.isfinite(upper - lower)
+    turns = periodic(robot) & np.isfinite(upper - lower)
     stays = np.where((lower <= q) & (q <= upper), 0.0, np.nan)
     first, last = (np.where(turns, k, stays) for k in _turns(q, lower, upper))
     counts = np.maximum(np.nan_to_num(last - first + 1.0), 0.0).astype(int)
@@ -64,16 +74,16 @@ def all_turns(robot: Robot, q: Any, lower: Any, upper: Any) -> tuple[np.ndarray,
 
 def nearest_turns(robot: Robot, q: Any, goal: Any, lower: Any, upper: Any) -> np.ndarray:
     """Turns each revolute joint of `q` (..., n) by the multiple of 2 pi that brings it nearest to `goal` (..., n) inside the
-    limits (n,); a joint without a turn inside them, or with a range of 0, keeps its value. Host."""
+    limits (n,); a joint without a turn inside them, or with a range of 0, or that is not `periodic`, keeps its value. Host."""
     first, last = _turns(q, lower, upper)
     turns = np.clip(np.round((goal - q) / TURN), first, last)
-    moves = ~np.array(robot.is_prismatic) & (lower < upper) & (first <= last)
+    moves = periodic(robot) & (lower < upper) & (first <= last)
     return np.where(moves, np.clip(q + np.where(moves, turns, 0.0) * TURN, lower, upper), q)
 
 
 def endless(robot: Robot) -> np.ndarray:
-    """Whether each joint turns without limits (n,)."""
-    return np.isinf(robot.lower) & np.isinf(robot.upper) & ~np.array(robot.is_prismatic)
+    """Whether each joint turns without limits (n,), and comes round to the same posture."""
+    return np.isinf(robot.lower) & np.isinf(robot.upper) & periodic(robot)
 
 
 def wound(robot: Robot, winding: float | None) -> tuple[np.ndarray, np.ndarray]:

@@ -23,7 +23,7 @@ MOST = 2**30  # bytes of a packed surface
 ROUND = 4e-6  # [m] by which the surface of a round shape may stand out of it
 
 
-UncheckedReason = Literal["fixed", "named", "touches", "neighbours", "never"]
+UncheckedReason = Literal["fixed", "named", "touches", "nested", "neighbours", "never"]
 
 
 class Box(Constant):
@@ -87,8 +87,10 @@ class ConvexPart(Value):
 class Unchecked:
     """Two links that are not checked against each other, and why: `fixed` (they do not move against each other), `named` (by
     the user, an SRDF, an MJCF), `touches` (their surfaces touch in at least half of the random postures: they are meant to),
-    `neighbours` (on either side of one joint), `never` (they do not touch, neither in random postures nor in a search from the
-    nearest). They touch in a `share` of the random postures, by `depth` at most [m], as their convex parts say."""
+    `nested` (their surfaces touch in no random posture, and their convex parts overlap in at least half: one moves in a hollow
+    of the other, which parts fill), `neighbours` (on either side of one joint), `never` (they do not touch, neither in random
+    postures nor in a search from the nearest). They touch in a `share` of the random postures, by `depth` at most [m], as their
+    convex parts say."""
 
     links: tuple[str, str]
     reason: UncheckedReason

@@ -12,9 +12,10 @@ from jaxik.checks.arrays import check_known, is_rigid, numbers
 from jaxik.collision.scene import Scene
 from jaxik.ik import IKOptions, solve_ik
 from jaxik.ik.sqp_programs import solve_errors
-from jaxik.kinematics.joint_turns import TURN, endless, nearest_turns
+from jaxik.kinematics.joint_turns import TURN, endless, nearest_turns, periodic
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
+from jaxik.kinematics.tasks import tasks_of
 from jaxik.planning.limits import AnyLimits
 from jaxik.reasons import Reason
 
@@ -142,7 +143,7 @@ def postures(
     first; where the start has the pose already it is the only one.
     """
     lower, upper = bounds or (robot.lower, robot.upper)
-    turnable = ~np.array(robot.is_prismatic) & (robot.upper - robot.lower > TURN) & np.isfinite(robot.upper - robot.lower)
+    turnable = periodic(robot) & (robot.upper - robot.lower > TURN) & np.isfinite(robot.upper - robot.lower)
     asked = IKOptions(
         task=task,
         margin=margin,
@@ -191,5 +192,5 @@ def different(q: np.ndarray, count: int) -> np.ndarray:
 def _has(robot: Robot, task: Task, q: np.ndarray, poses: np.ndarray, asked: IKOptions) -> Any:
     """Whether configurations (b, n) lie inside the limits and have their poses, within what `solve_ik` was asked for."""
     inside = np.all((robot.lower <= q) & (q <= robot.upper), axis=1)
-    position, rotation = solve_errors(robot, task, q, poses)
+    position, rotation = solve_errors(*tasks_of("plan_motion", robot, task), q, poses)
     return inside & (position <= asked.position_tolerance) & (rotation <= asked.rotation_tolerance)

@@ -29,7 +29,7 @@ from jaxik.planning.path_parts import Part
 from jaxik.planning.plan_options import PlanOptions
 from jaxik.planning.plan_result import Place, PlanResult
 from jaxik.planning.sooner import sooner
-from jaxik.planning.standing import check_standing, moving_joints, standing_postures, stood, tip_that_moves
+from jaxik.planning.standing import check_standing, moving_joints, one_tip, standing_postures, stood, tip_that_moves
 from jaxik.planning.timing import time_path
 from jaxik.planning.trajectory import JointPath, Trajectory, padded
 from jaxik.planning.ways import LOOKS, blended
@@ -335,11 +335,11 @@ def _goals(
             goals = check_standing("plan_motion", robot, space.moves, starts, goals)
         return Answers(np.zeros(len(starts), int), goals, np.full_like(starts, np.nan))
     bound = options.postures, limits, seed, options.task, options.margin, bounds
+    tip = one_tip("plan_motion", tip_that_moves(robot, options.moving), options.task)
     if space.moves is not None:
-        tip = tip_that_moves(robot, options.moving)
         found = standing_postures(tip, scene, space.moves, starts, asked.poses, *bound)
     else:
-        tip, found = robot, postures_of_each(robot, scene, starts, asked.poses, *bound)
+        found = postures_of_each(tip, scene, starts, asked.poses, *bound)
     if along is None:
         return found
     return kept_goals(tip, space, along, options.task, starts, asked.poses, found, options.postures, limits, seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from jaxik.checks.options import no_such, shown
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import Task
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.motion_ends import Answers, postures_of_each
 
@@ -47,6 +49,17 @@ def tip_that_moves(robot: Robot, names: Sequence[str]) -> Robot:
     return robot.with_tips(links[0]) if len(links) == 1 else robot
 
 
+def one_tip(who: str, robot: Robot, task: Task) -> Robot:
+    """The robot with the tip that a pose is the goal of: the one that the task names, or its only one. Raises `ValueError` for
+    several."""
+    if task.tip is not None:
+        return robot
+    if len(robot.tips) > 1:
+        mend = "name the one that goes there, moving= or task=Task.pose(tip=), or plan to solve_ik(robot, poses).q of all"
+        raise ValueError(f"{who}: a goal is a pose, and {robot.name} has the tips {', '.join(robot.tip_names)}; {mend}")
+    return dataclasses.replace(robot, joint_T_tip=robot.tip_frames[0])
+
+
 def check_standing(who: str, robot: Robot, moves: np.ndarray, starts: np.ndarray, goals: np.ndarray) -> np.ndarray:
     """The goals (b, g, n) with the joints that stand as the starts (b, n) have them. Raises `ValueError` where they are to be
     elsewhere."""
@@ -70,9 +83,10 @@ def standing_postures(
     poses: np.ndarray,
     *bound: Any,
 ) -> Answers:
-    """`postures_of_each` with the joints that do not move (n,) where each start (b, n) has them."""
-    stands = np.where(moves, 0.0, starts)
-    kinds, of = np.unique(np.nan_to_num(stands), axis=0, return_inverse=True)
+    """`postures_of_each` with the joints that do not move (n,) where each start (b, n) has them; of a start that is outside the
+    limits, or no number, which is refused later, at the limit that is nearest."""
+    inside = np.clip(np.nan_to_num(starts), robot.lower, robot.upper)
+    kinds, of = np.unique(np.where(moves, 0.0, inside), axis=0, return_inverse=True)
     parts, places = [], []
     for number, values in enumerate(kinds):
         rows = np.flatnonzero(of.reshape(-1) == number)

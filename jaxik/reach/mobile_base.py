@@ -149,6 +149,7 @@ def base_poses(
     Raises `ValueError` for arguments of a wrong shape, name or range, and for tolerances or references of one a target.
     """
     check_kind("base_poses", "robot", robot, Robot)
+    robot.only_tip("base_poses")
     options, robot = IKOptions.chosen(options, changes), _standing(robot)
     looked = is_looked_at("base_poses", robot, scene, options.collision is not False)
     for name, most in (("position_tolerance", 0), ("rotation_tolerance", 0), ("reference", 1)):

@@ -61,6 +61,7 @@ NONE = "pair: none"
 WORDS = {  # what stands out first
     "touches": "their surfaces mostly touch",
     "beside": "neighbours whose surfaces mostly touch",
+    "nested": "one moves in a hollow of the other",
     "neighbours": "neighbours that touch at times",
     "named": "named: by you, an SRDF, the file",
     "": "by the robot's file, as neighbours, or as always apart or touching",

@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from robot_files import ARM, URDF, refused, write
 from robots import FOLDER, ROBOTS
+from scipy.spatial.transform import Rotation
 
 import jaxik
 from jaxik.files import targets as target_files
@@ -630,6 +631,57 @@ def test_an_npz_is_bounded_by_what_it_holds(tmp_path, monkeypatch):
 def test_arrays_of_targets(tmp_path, arrays, words):
     np.savez(tmp_path / "t.npz", **arrays)
     refused(tmp_path / "t.npz", *words, reader=jaxik.load_targets)
+
+
+HANDS = ("left", "right")
+OBJECT = {"position": [1, 2, 3], "wxyz": [1, 0, 0, 0]}
+
+
+def test_targets_of_several_tips(tmp_path):
+    """Columns, arrays and objects of each tip are the same targets, in the order of `tips`."""
+    wxyz = np.array([[[1.0, 0.0, 0.0, 0.0], [0.6, 0.8, 0.0, 0.0]], [[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 0.0]]])
+    places = np.arange(12.0).reshape(2, 2, 3)
+    head = "Right_z,right_y,RIGHT_X,left_x_mm,left_y_mm,left_z_mm"
+    head += "".join(f",{hand}_{name}" for hand in HANDS for name in ("qw", "qx", "qy", "qz"))
+    rows = [[*place[1, ::-1], *1e3 * place[0], *turn.ravel()] for place, turn in zip(places, wxyz, strict=True)]
+    table = "\n".join([head, *(",".join(map(str, row)) for row in rows)])
+    objects = [
+        {hand: {"position": [*place[i]], "wxyz": [*turn[i]]} for i, hand in enumerate(HANDS)}
+        for place, turn in zip(places, wxyz, strict=True)
+    ]
+    np.savez(tmp_path / "t.npz", positions=places, wxyz=wxyz)
+    files = write(tmp_path, "t.csv", table), tmp_path / "t.npz", write(tmp_path, "t.json", json.dumps(objects))
+    for file in files:
+        poses = jaxik.load_targets(file, tips=HANDS)
+        assert poses.shape == (2, 2, 4, 4) and np.allclose(poses[..., :3, 3], places)
+        turned = Rotation.from_quat(wxyz[[0, 0, 1], [0, 1, 0]], scalar_first=True).as_matrix()
+        assert np.allclose(poses[[0, 0, 1], [0, 1, 0], :3, :3], turned) and not poses[1, 1, :3, :3].any()
+    np.savez(tmp_path / "p.npz", positions=places)
+    assert np.array_equal(jaxik.load_targets(tmp_path / "p.npz", tips=HANDS), places)
+
+
+@pytest.mark.parametrize(
+    "name, content, words",
+    [
+        ("t.csv", "x,y,z\n1,2,3\n", ("lacks left_x, left_y, left_z", "(left_x, right_x)")),
+        ("t.csv", "left_x,left_y,left_z,right_x,right_y\n1,2,3,1,2\n", ("lacks right_z",)),
+        ("t.csv", "left_x,left_y,left_z,left_qw,left_qx,left_qy,left_qz,right_x,right_y,right_z\n", ("lacks right_qw",)),
+        ("t.csv", "left_x,left_y,left_z,right_x,right_y,right_z,right_roll\n", ("'right_roll' looks like", "right_qw")),
+        ("t.csv", "left_x,left_y,left_z,right_x,right_y,right_z\n1,2,3,4,5,a\n", ("line 2, column 'right_z'", "'a'")),
+        ("t.csv", "left_x,left_x_mm,left_y,left_z\n1,2,3,4\n", ("left_x and left_x_mm say the same",)),
+        ("t.json", json.dumps([OBJECT]), ("target 1: has no object 'left'", '"right": {"position"')),
+        ("t.json", json.dumps([{"left": OBJECT, "right": {"position": [1, 2, 3]}}]), ("other keys for one tip", "all alike")),
+        ("t.json", json.dumps([{"left": OBJECT, "right": OBJECT | {"wxyz": [1]}}]), ("target 1, right: 'wxyz'",)),
+    ],
+)
+def test_targets_that_are_not_those_of_the_tips(tmp_path, name, content, words):
+    refused(write(tmp_path, name, content), *words, reader=lambda path: jaxik.load_targets(path, tips=HANDS))
+
+
+def test_arrays_of_other_tips(tmp_path):
+    np.savez(tmp_path / "t.npz", positions=np.zeros((5, 3)))
+    with pytest.raises(jaxik.LoadError, match=r"positions: has shape \(5, 3\); allowed: \(N, 2, 3\), for left, right"):
+        jaxik.load_targets(tmp_path / "t.npz", tips=HANDS)
 
 
 # --------------------------------------------------------------------------------------------------------------------

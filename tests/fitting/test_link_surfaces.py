@@ -197,12 +197,36 @@ def test_pairs_are_asked_for(arm_of_bars):
         jaxik.load(arm_of_bars, pairs="all")
 
 
+def test_a_link_in_the_hollow_of_another_leaves_the_robot_free(tmp_path):
+    """A rod that turns in a ring never touches it, and is always inside the one part around it: a line says that the pair is
+    not checked, and `pairs` checks it."""
+    path = arm_of(tmp_path, trimesh.creation.annulus(0.1, 0.15, 0.05), None, trimesh.creation.cylinder(0.03, 0.1))
+    one = jaxik.FitOptions(parts=1)
+    with pytest.warns(UserWarning, match=r"not checked, because their meshes never touch, .* base and hand, by"):
+        robot = jaxik.load(path, meshes=True, fit=one)
+    (left,) = robot.unchecked
+    assert (left.links, left.reason, left.share) == (("base", "hand"), "nested", 0.0) and left.depth > 0.05
+    assert not jaxik.collides(robot, None, np.zeros(2)) and not robot.self_pairs
+    asked = jaxik.load(path, meshes=True, fit=one, pairs=[("base", "hand")])
+    assert jaxik.collides(asked, None, np.zeros(2))
+    cut = jaxik.load(path, meshes=True)  # into parts that leave the hollow free
+    assert cut.self_pairs == ((0, 2),) or cut.unchecked[0].reason == "never"
+
+
 @pytest.fixture
 def arm_of_bars(tmp_path):
     """Two joints that turn about one axis, and three bars in the same place."""
-    trimesh.creation.box((0.1, 0.1, 0.4)).export(tmp_path / "bar.stl")
+    return arm_of(tmp_path, *[trimesh.creation.box((0.1, 0.1, 0.4))] * 3)
+
+
+def arm_of(tmp_path, *meshes):
+    """The file of two joints that turn about one axis, with a mesh on each link, or none."""
     joint = '<joint name="{1}" type="revolute"><parent link="{0}"/><child link="{1}"/><axis xyz="0 0 1"/>'
     joint += '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
-    links = "".join(f'<link name="{name}">{MESH.format("bar")}</link>' for name in ("base", "arm", "hand"))
+    links = ""
+    for name, mesh in zip(("base", "arm", "hand"), meshes, strict=True):
+        if mesh is not None:
+            mesh.export(tmp_path / f"{name}.stl")
+        links += f'<link name="{name}">{MESH.format(name) if mesh is not None else ""}</link>'
     joints = joint.format("base", "arm") + joint.format("arm", "hand")
     return write(tmp_path, "bars.urdf", f'<robot name="bars">{links}{joints}</robot>')

@@ -237,6 +237,50 @@ def test_a_descent_is_traced():
     np.testing.assert_array_equal(one.q, each.q[3])
 
 
+SLIDES = ("base", "left", "right", "head")
+
+
+@pytest.fixture(scope="module")
+def slides(tmp_path_factory):
+    joints = [(f"move_{link}", "prismatic", "base", link, f"0 {y} 0", "1 0 0", "") for y, link in enumerate(SLIDES[1:])]
+    path = write(tmp_path_factory.mktemp("slides"), "slides.urdf", tree_of_balls("slides", SLIDES, joints, 0.01, 0.0))
+    robot = jaxik.load(path, tip=list(SLIDES[1:]))
+    return robot, TreeTruth(path, robot.joint_names)
+
+
+def test_answers_of_branches_that_are_none_together(slides):
+    robot, truth = slides
+    end, tolerance = robot.upper[0], 1e-3
+    tasks = [Task.pose(tip="left"), Task.pose(tip="right", relative="left")]
+    targets = poses(truth, np.array([[end, -end, 0.0], [end, end, 0.0]]), ("left", "right"))
+    targets[0, :, 0, 3] += [0.8 * tolerance, -0.8 * tolerance]  # each within the tolerance of its limit, and the other way
+    targets[1, :, :3, 3] += 0.8 * tolerance * targets[1, :, :3, 0]
+    targets[:, 1] = np.linalg.inv(targets[:, 0]) @ targets[:, 1]
+    result = jaxik.solve_ik(robot, targets, task=tasks, collision=False, position_tolerance=tolerance)
+    assert not result.success[0] and np.isfinite(result.q[result.success]).all()
+
+
+def test_a_tip_that_no_joint_moves_is_where_it_is(slides):
+    robot, truth = slides
+    at = poses(truth, np.array([[0.1, -0.2, 0.0]]), ("base", "left"))
+    both = [Task.pose(tip="base"), Task.pose(tip="left")]
+    assert jaxik.solve_ik(robot, at[:, 0], task=both[0], collision=False).success.all()
+    result = jaxik.solve_ik(robot, at, task=both, collision=False)
+    assert result.success.all() and max(missed(poses(truth, result.q, ("base", "left")), at)) < 1.1e-6
+    at[0, 0, 0, 3] += 0.1
+    assert jaxik.solve_ik(robot, at, task=both, collision=False).reason[0] == Reason.OUT_OF_REACH
+
+
+@pytest.mark.parametrize("changes", [{"choice": "closest"}, {"choice": "first"}, {"locked": {"move_head": 0.1}}])
+def test_joints_of_no_branch_stay_inside_their_limits(slides, changes):
+    robot, truth = slides
+    targets = poses(truth, np.array([[0.1, -0.2, 0.0]]), ("left", "right"))
+    tasks = [Task.pose(tip="left"), Task.pose(tip="right")]
+    result = jaxik.solve_ik(robot, targets, task=tasks, collision=False, reference=[0.0, 0.0, 3.0], **changes)
+    assert result.success.all() and inside(robot, result.q)
+    assert result.q[0, 2] == changes.get("locked", {}).get("move_head", robot.upper[2])
+
+
 @pytest.mark.parametrize(
     ("task", "shape", "said"),
     [

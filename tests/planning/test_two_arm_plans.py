@@ -13,6 +13,7 @@ import jaxik
 from jaxik.kinematics.tree import Tree
 from jaxik.planning import plan_motion
 from jaxik.planning.limb_ways import limbs
+from jaxik.reasons import Reason
 
 RADIUS, JOINTS = 0.04, (("z", 0.0), ("y", 0.0), ("y", 0.35), ("y", 0.3), ("z", 0.0), ("x", 0.1))
 AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
@@ -115,6 +116,28 @@ def test_one_arm_moves_and_the_other_stands(two):
     assert one and len(one.waypoints) == 2
 
 
+def test_one_start_that_is_refused_leaves_the_others_their_motions(two):
+    starts = np.tile(APART, (3, 1))
+    starts[1, 7], starts[2, 8] = 2.5, np.nan  # of the arm that stands
+    pose = two.truth.pose(APART + 0.05, "left_hand")
+    moved = plan_motion(two.robot, starts, pose, moving="left_hand")
+    assert moved.reason.tolist() == [Reason.SOLVED, Reason.LIMITS, Reason.INVALID]
+    assert moved.where == ("", "start", "start")
+
+
+def test_a_list_of_one_tip_has_one(two):
+    pose = two.truth.pose(APART, "left_hand")
+    alone = plan_motion(two.robot.with_tips(["left_hand"]), APART, pose)
+    assert alone and alone.length == 0.0
+    assert plan_motion(two.robot, APART, pose, task=jaxik.Task.pose(tip="left_hand")).length == 0.0
+
+
+def test_hands_that_are_there_already_stand(two):
+    moved = plan_motion(two.robot, np.stack([APART, APART]), APART, along=TOGETHER)
+    assert moved.success.all() and (moved.length == 0.0).all()
+    assert all(float(each.trajectory.duration) == 0.0 for each in moved)
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -152,3 +175,12 @@ def test_two_hands_hold_one_thing(two):
     assert min(gap(two, q, scene=False) for q in way[::10]) > -1e-5
     wide = plan_motion(two.robot, start, goal, along=TOGETHER, along_within=(1e-2, 1e-2))
     assert wide and len(wide.waypoints) <= len(moved.waypoints)
+
+
+def test_a_pose_of_no_tip_that_is_named():
+    """A pose, or one for each tip, does not say of several tips which goes there."""
+    robot = jaxik.load("p6r_pair")
+    poses = np.asarray(jaxik.forward_kinematics(robot, np.zeros(14)))
+    for goal in (poses[0], poses, poses[None]):
+        with pytest.raises(ValueError, match=r"a goal is a pose, and p6r_pair has the tips .*solve_ik\(robot, poses\)"):
+            jaxik.plan_motion(robot, np.zeros(14), goal)
