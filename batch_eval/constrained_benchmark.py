@@ -89,10 +89,12 @@ def between(
     """So many problems between postures of poses that are drawn, of a start or of a goal."""
     found: list[Problem] = []
     while len(found) < count:
-        poses = np.stack([draw(goal) for goal in (False, True) for _ in range(64)])
-        ends = jaxik.solve_ik(robot, poses, scene=scene)
-        pairs = np.flatnonzero(ends.success[:64] & ends.success[64:]).tolist()
-        found += [Problem(ends.q[i], ends.q[64 + i], scene, task) for i in pairs]
+        starts, goals = (np.stack([draw(goal) for _ in range(64)]) for goal in (False, True))
+        begin = jaxik.solve_ik(robot, starts, scene=scene)
+        # the nearest one: hands that point down have postures between which no way is within the limits
+        end = jaxik.solve_ik(robot, goals, scene=scene, reference=begin.q, choice="closest", solutions=16)
+        pairs = np.flatnonzero(begin.success & end.success).tolist()
+        found += [Problem(begin.q[i], end.q[i], scene, task) for i in pairs]
     return found[:count]
 
 
