@@ -20,7 +20,7 @@ def constrained_markdown(result: dict[str, Any]) -> str:
         )
     told = (
         f"`off` is by Pinocchio at {result['moments']:,} moments of what is judged, beyond its task; "
-        "0.1 mm and 0.1 mrad are proven. McVAMP's problems are built anew, with a hand that points down; theirs differ in robot "
-        "model, walls and tolerance, are checked at samples, and their times are those of the search alone, in C++."
+        "0.1 mm and 0.1 mrad are proven. McVAMP's problems are built anew, with a hand that points down; theirs differ in "
+        "robot, walls and tolerance, are checked at samples, and their times are those of the search alone, in C++."
     )
     return "\n".join([*lines, "", *textwrap.wrap(told, 130)])
