@@ -15,6 +15,7 @@ from tables.collision import (
     scaling_markdown,
     scenes_markdown,
 )
+from tables.constrained import constrained_markdown
 from tables.five_joints import five_joints_markdown
 from tables.forces import dynamics_markdown, identification_markdown, torque_markdown, touch_markdown
 from tables.mobile_base import mobile_base_markdown
@@ -63,6 +64,7 @@ TABLES = {
     "collision_plans.json": plans_markdown,
     "collision_scenes.json": scenes_markdown,
     "collision_scaling.json": scaling_markdown,
+    "constrained_benchmark.json": constrained_markdown,
     "dynamics_benchmark.json": dynamics_markdown,
     "ends_benchmark.json": ends_markdown,
     "five_joints_benchmark.json": five_joints_markdown,

@@ -31,6 +31,7 @@ from jaxik.planning import plan_motion
 HERE = Path(__file__).parent
 TIPS = ["left_gripper", "right_gripper"]
 FIRST, SEEDS, SOME, MOMENTS = 20, 5, 12, 10_000
+HELD = jaxik.Task.pose(tip=TIPS[1], relative=TIPS[0])
 
 
 def asked(robot: jaxik.Robot, coal: Coal, goals: list[Goal]) -> dict[str, Any]:
@@ -99,7 +100,7 @@ def carried(robot: jaxik.Robot) -> dict[str, Any]:
     so many moments, and the least clearance at every tenth."""
     moved, door, starts, goal = tray.carrying(robot)
     asked = [(start, seed) for start in starts for seed in range(SEEDS)]
-    plan = lambda start, seed: plan_motion(moved, start, goal, scene=door, seed=seed, keep=TIPS)
+    plan = lambda start, seed: plan_motion(moved, start, goal, scene=door, seed=seed, along=HELD)
     plan(*asked[0])  # compiles
     each = [clocked(lambda one=one: plan(*one)) for one in asked]
     off, near = np.zeros(2), np.inf

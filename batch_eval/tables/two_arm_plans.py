@@ -27,7 +27,7 @@ def two_arm_plans_markdown(result: dict[str, Any]) -> str:
         f"{first['kernels_on_disk']['first_s']:.1f} s with its kernels on disk.",
         f"The left arm alone (`moving=`): {alone['solved']} of {alone['asked']} in {p50['alone']} (p50), "
         f"{p95['alone']} (95 %); the right one stands to the last bit in {alone['stand']}.",
-        f"A tray in both hands through a door (`keep=`): {tray['solved']} of {tray['asked']} in {p50['tray']} (p50), "
+        f"A tray in both hands through a door (`along=`): {tray['solved']} of {tray['asked']} in {p50['tray']} (p50), "
         f"{p95['tray']} (95 %). At {tray['moments']:,} moments of each the hands are at most {tray['off_mm']:.3f} mm and "
         f"{tray['off_mrad']:.3f} mrad off, of 0.1 and 0.1 that are proven; the clearance is {tray['clearance_mm']:.1f} mm at "
         "least.",

@@ -158,7 +158,7 @@ def postures(
     nearest = nearest_turns(robot, found.solutions, starts[:, None], lower, upper)
     order = np.argsort(np.nan_to_num(limits.straight(nearest - starts[:, None]), nan=np.inf), axis=1, kind="stable")
     ordered = np.take_along_axis(nearest, order[..., None], axis=1)
-    goals = np.stack([_different(row, count) for row in ordered])
+    goals = np.stack([different(row, count) for row in ordered])
     there = found.success & _has(robot, task, starts, poses, asked)
     goals[there] = np.nan
     goals[there, 0] = starts[there]
@@ -181,7 +181,7 @@ def postures_of_each(
     return Answers(pick(reason)[:, 0], goals, pick(found.misses))
 
 
-def _different(q: np.ndarray, count: int) -> np.ndarray:
+def different(q: np.ndarray, count: int) -> np.ndarray:
     """Returns the first `count` different rows of q (g, n), filled up with NaN."""
     known = q[np.isfinite(q).all(axis=1)]
     _, first = np.unique(np.round(known / SAME), axis=0, return_index=True)

@@ -63,13 +63,16 @@ class PlanOptions(Options, who="plan_motion"):
         words="tips, groups or joints, by name, whose joints are the only ones that move; all others stand as in the start, "
         "and a pose is that of the only tip that is named",
     )
-    keep: Any = names(
-        default=(),
-        words="two tips or links, by name, that hold one thing: on the whole way the second stays where the first one sees it "
-        "at the start, proven between samples",
+    along: Any = instance(
+        default=None,
+        kind=Task,
+        optional=True,
+        several=True,
+        words="a task, or several, kept on the whole way, proven between samples; one without a target of its own, `Task.at`, "
+        "stays as it is at the start",
     )
-    keep_within: Any = pair(
-        default=(1e-4, 1e-4), unit="m, rad", words="how far off the kept pose may be in its place, and in its turn"
+    along_within: Any = pair(
+        default=(1e-4, 1e-4), unit="m, rad", words="how far off what `along` allows the way may be in place, and in turn"
     )
     places: int = count(
         default=128, words="number of places at which the speed is chosen (`time_path`), twice as many within a jerk limit"

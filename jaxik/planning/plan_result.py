@@ -22,6 +22,7 @@ HELP = {
     Reason.NOT_CONVERGED: "another seed, more rounds, a longer timeout or a smaller margin may help",
     Reason.NO_WAY: "move what stands between, or ask for a smaller margin",
     Reason.INVALID: "give finite numbers",
+    Reason.OFF_TASK: "solve_ik with the tasks of along finds a configuration that does what they ask",
 }
 ESCAPES = "escape=True leads out of it first"
 LOOKS = 17  # configurations between the trees of a search, of which is told what they hit
@@ -52,6 +53,7 @@ class PlanResult(Result):
     trajectory: a `Trajectory`, or None.
     length, bound: the length of the straight lines between the waypoints, and of the one to the nearest goal, which no way is
     shorter than; joints weighted by the most that their unit moves the robot [m]. NaN where there is no motion.
+    off: of which task of `along` a start or goal that is refused is off, and by how much, in words; else None.
     least_duration: the time that no motion to the nearest goal is below [s]: of the joint that needs most for itself. NaN where
         there is no motion, as of a roadmap's `way`.
     rounds, checked: how many rounds of the search were taken, and how many configurations were checked for collision.
@@ -76,6 +78,7 @@ class PlanResult(Result):
     stuck: Any = None
     planned_in: Any = by_row(default=None)  # a `Place`
     least_duration: Any = float("nan")
+    off: Any = by_row(default=None)
     ROW: ClassVar = "motion"
     HELP: ClassVar = HELP
 
@@ -130,6 +133,8 @@ class PlanResult(Result):
             return str(one.why)
         told, mend = [reason.text], self.HELP.get(reason, "")
         told[0] = f"{self.where}: " * bool(self.where) + told[0]
+        if self.off:
+            told.append(str(self.off))
         if self.offenders and self.where:
             worst, more = self.offenders[0], len(self.offenders) - 1
             told.append(f"{worst}" + f", and {more} more" * bool(more))

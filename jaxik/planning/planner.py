@@ -21,7 +21,8 @@ from jaxik.planning.escape import escaped, led_out
 from jaxik.planning.goal_search import searched
 from jaxik.planning.improvement import improved
 from jaxik.planning.jerk_timing import smooth_laws
-from jaxik.planning.kept_ways import kept_ways
+from jaxik.planning.kept_goals import kept_goals
+from jaxik.planning.kept_ways import Along, kept_ways
 from jaxik.planning.limits import AnyLimits, Limits, limit_of, motion_limits
 from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, reached, turned
 from jaxik.planning.path_parts import Part
@@ -67,14 +68,15 @@ def plan_motion(
     `motion_clearance`'s bound. Else two trees find a way, of a robot of several limbs for one limb after the other, if that
     leads there, and the shortest of the lines between its points that are proven is taken; its corners are rounded as far as
     that is proven, too; `time_path` times it. With `moving`, such as the one arm of two that is named by its tip, all other
-    joints stand. With `keep` two tips hold one thing: their relative pose stays that of the start within `keep_within` on the
-    whole way, a spline, which is proven as well; its `waypoints` are the spline's knots. `seed` decides. `progress` is called
-    with the motions that are done and their number; of a single one with rounds of the search. `changes` are fields of
-    `PlanOptions`.
+    joints stand. With `along` a task, or several, is kept within `along_within` on the whole way, a spline, which is proven
+    between samples, too; its `waypoints` are the spline's knots. Two tips that hold one thing are a pose of the one `relative`
+    to the other. Postures of a pose are then those that keep the tasks. `seed` decides. `progress` is called with the motions
+    that are done and their number; of a single one with rounds of the search. `changes` are fields of `PlanOptions`.
 
     Reasons: SOLVED; INVALID, NaN in the start or the goal; LIMITS, COLLISION of the `start` or the `goal`, whichever is in
     `where`; OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED, no way found within the rounds and the timeout
-    that keeps 0.01 mm more than the margin, which is no proof that there is none; NO_WAY, a proof by cells that there is none,
+    that keeps 0.01 mm more than the margin, which is no proof that there is none; OFF_TASK, the start or the goal, whichever is
+    in `where`, does not do what `along` asks, by how much is in `off`; NO_WAY, a proof by cells that there is none,
     of arms of three joints at most, from a start that was not led out to goals that are configurations.
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Sources: Kuffner and LaValle, RRT-Connect, 2000;
@@ -94,20 +96,11 @@ def plan_motion(
     options = PlanOptions.chosen(options, changes)
     if options.moving and options.escape:
         raise ValueError("plan_motion: a way out of a collision moves all joints; leave out escape or moving")
-    if options.keep:
-        _check_keep(options, asked)
+    if options.along is not None and options.escape:
+        raise ValueError("plan_motion: a way out of a collision keeps no tasks; leave out escape or along")
     check_geometry(robot)
     found = _planned(robot, scene, asked, seed, options, progress)
     return found[0] if asked.single else found
-
-
-def _check_keep(options: PlanOptions, asked: Ends) -> None:
-    """Raises `ValueError` for what does not go together with two tips that hold one thing."""
-    given = {name for name in ("escape", "moving", "improve", "jerk") if getattr(options, name)}
-    if given:
-        raise ValueError(f"plan_motion: keep does not go together with {' and '.join(sorted(given))}; leave one of them out")
-    if asked.poses is not None:
-        raise ValueError("plan_motion: keep needs goals that are configurations (n,); find them by solve_ik of both tips")
 
 
 def _planned(
@@ -128,10 +121,11 @@ def _planned(
     among = np.arange(len(asked.starts)) if space.world.several else np.zeros(len(asked.starts), int)
     places = _places(robot, scene, space, options, len(asked.starts))
     starts, escapes = _begun(robot, space, places, asked.starts, among) if options.escape else (asked.starts, {})
-    answers = _goals(robot, scene, space, starts, asked, seed, options, pace)
+    along = None if options.along is None else Along("plan_motion", robot, options.along, options.along_within)
+    answers = _goals(robot, scene, space, starts, asked, seed, options, pace, along)
     goals, free, ended = admitted(robot, space, starts, answers, among)
-    if options.keep:
-        return _kept(robot, space, places, asked, goals, free, ended, seed, options, limits, progress, among)
+    if along is not None:
+        return _kept(robot, space, along, places, asked, goals, free, ended, seed, options, limits, jerk, progress, among)
     ways = _straight(space, starts, goals, free, pace, among)
     total = options.rounds if asked.single else len(starts)
     tell = progress or (lambda done, total: None)
@@ -161,6 +155,7 @@ def _planned(
 def _kept(
     robot: Robot,
     space: CollisionChecker,
+    along: Along,
     places: tuple[Place, ...],
     asked: Ends,
     goals: np.ndarray,
@@ -169,18 +164,19 @@ def _kept(
     seed: int,
     options: PlanOptions,
     limits: Limits,
+    jerk: np.ndarray | None,
     progress: Callable[[int, int], Any] | None,
     among: np.ndarray,
 ) -> PlanResult:
-    """Plans each of the problems with two tips that keep their relative pose: splines in the place of rounded lines."""
+    """Plans each of the problems with tasks that are kept on the way: splines in the place of rounded lines."""
     starts, count = asked.starts, len(asked.starts)
     sought = [each[some] for each, some in zip(goals, free, strict=True)]
     told = lambda taken, done: progress(*((taken, options.rounds) if asked.single else (done, count))) if progress else None
-    search = seed, options.rounds, options.timeout, among, told
-    found = kept_ways(space, options.keep, options.keep_within, starts, sought, *search)
+    off = _off_tasks(along, starts, sought, ended)
+    found = kept_ways(space, along, starts, sought, seed, options.rounds, options.timeout, among, told)
     moved = [i for i, path in enumerate(found.paths) if path is not None]
     paths = [padded(path, 2 ** int(np.ceil(np.log2(len(path.lengths))))) for path in found.paths if path is not None]
-    motions = dict(zip(moved, timed(robot, paths, limits, None, options.places), strict=True))
+    motions = dict(zip(moved, timed(robot, paths, limits, jerk, options.places), strict=True))
     for i, gap in enumerate(found.gaps):
         if gap is not None:
             ended.reason[i], ended.stuck[i] = int(Reason.NOT_CONVERGED), gap
@@ -191,8 +187,26 @@ def _kept(
             bounds[i], least[i] = space.length(away).min(), limits.least(away).min()
             lengths[i] = space.length(np.diff(way, axis=0)).sum()
     told_of = ended.reason, tuple(ended.where), tuple(found.ways), tuple(motions.get(i) for i in range(count)), lengths, bounds
-    reach = arrived(robot, found.ways, asked.goals, asked, options.postures)
-    return PlanResult(*told_of, found.rounds, found.rounds, *reach, np.zeros(count, int), ended.stuck, places, least)
+    reach = arrived(robot, found.ways, goals if asked.poses is not None else asked.goals, asked, options.postures)
+    return PlanResult(*told_of, found.rounds, found.checked, *reach, np.zeros(count, int), ended.stuck, places, least, off)
+
+
+def _off_tasks(along: Along, starts: np.ndarray, goals: list[np.ndarray], ended: Ended) -> tuple[str | None, ...]:
+    """Refuses starts (b, n) that are off tasks, leaves out such `goals` (g, n) of each, and refuses where none is left; tells
+    in words which task an end is off, and by how much."""
+    words: list[str | None] = [None] * len(starts)
+    for i, each in enumerate(goals):
+        if not len(each):
+            continue
+        off = along.off(starts[i], np.concatenate([starts[i : i + 1], each]))
+        holds = along.holds(off)
+        if not holds[0] or not holds[1:].any():
+            k = 0 if not holds[0] else 1 + int(np.argmin((off[1:] / along.tolerance).max(axis=(1, 2))))
+            ended.reason[i], ended.where[i] = int(Reason.OFF_TASK), "goal" if k else "start"
+            ended.stuck[i] = starts[i] if not k else each[k - 1]
+            words[i] = along.words(off[k])
+        goals[i] = each[holds[1:] & holds[0]]
+    return tuple(words)
 
 
 def _search(
@@ -311,6 +325,7 @@ def _goals(
     seed: int,
     options: PlanOptions,
     limits: AnyLimits,
+    along: Along | None = None,
 ) -> Answers:
     """The configurations (b, g, n) to go to, joints without limits on the nearest turn; and of poses the reasons."""
     bounds = space.lower, space.upper
@@ -322,8 +337,12 @@ def _goals(
     bound = options.postures, limits, seed, options.task, options.margin, bounds
     tip = one_tip("plan_motion", tip_that_moves(robot, options.moving), options.task)
     if space.moves is not None:
-        return standing_postures(tip, scene, space.moves, starts, asked.poses, *bound)
-    return postures_of_each(tip, scene, starts, asked.poses, *bound)
+        found = standing_postures(tip, scene, space.moves, starts, asked.poses, *bound)
+    else:
+        found = postures_of_each(tip, scene, starts, asked.poses, *bound)
+    if along is None:
+        return found
+    return kept_goals(tip, space, along, options.task, starts, asked.poses, found, options.postures, limits, seed)
 
 
 class Ended(NamedTuple):

@@ -12,7 +12,7 @@ spreads them over any number of joints [Roberts 2018, "The unreasonable effectiv
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -24,7 +24,8 @@ from jaxik.collision.bvh import Grouped
 from jaxik.collision.clearances import lanes_that_collide
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker
-from jaxik.planning.world import in_world
+from jaxik.planning.kept_law import Law, brought
+from jaxik.planning.world import Kernels, in_world
 from jaxik.spmd import TEAM
 from jaxik.spmd.trace import TEAM_SIZE
 
@@ -32,6 +33,8 @@ BLOCKS, MOST = 64, 512  # of nodes that a tree has room for at first and at most
 EDGES, FIRSTS = 8, 0x5555  # that are tried at once, by two samples each; the bits of the first of these
 UNLIKE = 3  # times as many nodes as the other tree has, at which the smaller one, in the narrower place, grows alone; sooner
 # by as many times as there are scales
+BENT = 4.0  # steps that a sample is brought at most
+PROGRESS = 0.1  # of an edge, by which it comes nearer to its target at least
 SMALLER = 4.0  # times, each scale of the samples about a node than the one before
 
 
@@ -78,7 +81,8 @@ class Search(NamedTuple):
 class Searches:
     """Searches for problems that are many or one: from the start (n,) of each to one of its goals (g, n), with samples between
     `lower` and `upper` (b, n), each `among` what is in the scene of such a number (b,); which samples is drawn from the same
-    `seed` for each. `taken` (b,) are the looks of each."""
+    `seed` for each. `taken` (b,) are the looks of each. With a `law` all nodes are where it is kept, as near to its `targets`
+    (b, k, 4, 4) as float32 tells."""
 
     def __init__(
         self,
@@ -89,9 +93,13 @@ class Searches:
         upper: np.ndarray,
         seed: int | tuple[int, int],
         among: np.ndarray,
+        law: Law | None = None,
+        targets: np.ndarray | None = None,
     ):
         count, n = starts.shape
         self.space, self.starts, self.goals, self.among = space, starts, goals, among
+        self.kernels = searched if law is None else kept_searched(law)
+        self.targets = () if targets is None else (targets.astype(np.float32),)
         self.range = lower.astype(np.float32), upper.astype(np.float32)
         self.offset, self.taken = np.zeros((count, n), np.uint32), np.zeros(count, int)
         self.seed, self.draws = seed, np.zeros(count, int)
@@ -142,9 +150,9 @@ class Searches:
         scales, few = (np.full(len(rows), count, np.int32) for count in (look.scales, look.few))
         lower, upper = map(of, self.range)
         reach = Reach(lower, upper, step, margin, scales, few, np.minimum(before + np.int32(looks), limit), limit)
-        given = *map(of, self.found), of(self.offset), *reach
+        given = *map(of, self.found), of(self.offset), *reach, *map(of, self.targets)
         shared = (np.asarray(space.weights, np.float32),)
-        found = Search(*space.world.run(searched, *given, among=of(self.among), shared=shared))
+        found = Search(*space.world.run(self.kernels, *given, among=of(self.among), shared=shared))
         self.taken[rows] += found.looks - before
         if whole:
             self.found = Search(*(x if x.flags.writeable else x.copy() for x in found))
@@ -201,10 +209,36 @@ def searched(robot: Robot, obstacles: Grouped, *args: Any) -> Search:
     then, what all searches share, the joints' weights (n,) by which lengths are measured."""
     count = len(Search._fields)
     search, offset, (*reach, weights) = Search(*args[:count]), args[count], args[count + 1 :]
-    return _searched(robot, search, offset, Reach(*reach), weights, obstacles)
+    return _searched(robot, search, offset, Reach(*reach), weights, obstacles, lambda q: (q, True))
 
 
-def _searched(robot: Robot, search: Search, offset: Any, reach: Reach, weights: Any, obstacles: Any) -> Search:
+@functools.lru_cache(maxsize=64)
+def kept_searched(law: Law) -> Kernels:
+    """The kernels of `searched` where a law is kept: each sample of an edge is brought there for itself, beside the others [as
+    McVAMP does]. They take targets (k, 4, 4) behind the `Reach`."""
+
+    def kept(robot: Robot, obstacles: Grouped, *args: Any) -> Search:
+        count = len(Search._fields)
+        search, offset, (*reach, targets, weights) = Search(*args[:count]), args[count], args[count + 1 :]
+        least, most = reach[:2]
+        some = lambda true: lax.pmax(true.astype(jnp.int32), TEAM) > 0
+        onto = lambda q: brought(law, q, targets, least, most, some)
+        return _searched(robot, search, offset, Reach(*reach), weights, obstacles, onto, BENT)
+
+    return in_world(len(Search._fields) + 2 + len(Reach._fields))(kept)
+
+
+def _searched(
+    robot: Robot,
+    search: Search,
+    offset: Any,
+    reach: Reach,
+    weights: Any,
+    obstacles: Any,
+    onto: Callable[[Any], tuple[Any, Any]],
+    bent: float = 0.0,
+) -> Search:
+    """The search, whose samples go `onto` something, where this is reached; an edge is `bent` by so many steps at most."""
     me = lax.axis_index(TEAM)
     mine = me // 2  # the edge that a lane looks at
     of = lambda lane, x: lax.psum(jnp.where(me == lane, x, jnp.zeros_like(x)), TEAM)
@@ -230,7 +264,8 @@ def _searched(robot: Robot, search: Search, offset: Any, reach: Reach, weights: 
         own = jnp.where(s.joining, 1 - s.tree, s.tree)
         before, fresh = s.count[own], jnp.minimum(s.since + mine, s.count[s.tree] - 1)
         targets = jnp.where(s.joining, _node(s.nodes, s.tree, fresh), _sample(s, mine, offset, reach))
-        wanted = ~s.joining | (fresh == s.since + mine)
+        targets, there = onto(targets)
+        wanted = (~s.joining | (fresh == s.since + mine)) & there
         bases = _nearest(s.nodes, own, before, targets, weights)
         first = _node(s.nodes, own, bases)
         _, last, samples = edge(first, targets)
@@ -245,11 +280,20 @@ def _searched(robot: Robot, search: Search, offset: Any, reach: Reach, weights: 
             first = _node(s.nodes, own, base)
             arrives, last, samples = edge(first, of(lane, targets))
             whole = first + jnp.minimum((me + 1) / samples, 1.0) * (last - first)
-            hit = lanes_that_collide(robot, obstacles, jnp.where(all_edges, two, whole), reach.margin, all_edges)
+            line = jnp.where(all_edges, two, whole)
+            q, there = onto(line)
+            hit = lanes_that_collide(robot, obstacles, q, reach.margin, all_edges)
+            if bent:
+                hit = hit | ~there | (_length(q - line, weights) > bent * reach.step)
             passed = lax.psum(jnp.where(hit | ~wanted, 0, jnp.int32(1) << me), TEAM)
             clear, new = lax.pmin(jnp.where(hit, me, TEAM_SIZE), TEAM), s.count[own]
             free = ~all_edges & (clear >= samples)
             place = jnp.where(free, last, first + clear / samples * (last - first))
+            if bent:
+                place, to = of(jnp.where(free, TEAM_SIZE, clear) - 1, q), of(lane, targets)
+                far = _length(to - first, weights)
+                nearer = far - _length(to - place, weights) > PROGRESS * jnp.minimum(far, TEAM_SIZE * reach.step)
+                free, clear = free & nearer, jnp.where(nearer, clear, 0)
             grows = free | (~all_edges & (clear >= reach.few))
             s = lax.cond(grows, lambda s: _grown(s, own, place, base), lambda s: s, s)
             joined, goes = s.joining & free & arrives, s.joining & free & ~arrives

@@ -12,9 +12,7 @@ from scipy.spatial.transform import Rotation
 import jaxik
 from jaxik.kinematics.tree import Tree
 from jaxik.planning import plan_motion
-from jaxik.planning.kept_pose import KeptPose
 from jaxik.planning.limb_ways import limbs
-from jaxik.planning.trajectory import JointPath
 from jaxik.reasons import Reason
 
 RADIUS, JOINTS = 0.04, (("z", 0.0), ("y", 0.0), ("y", 0.35), ("y", 0.3), ("z", 0.0), ("x", 0.1))
@@ -22,6 +20,7 @@ AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
 SHAPE = f'<collision><origin xyz="0.1 0 0"/><geometry><sphere radius="{RADIUS}"/></geometry></collision>'
 HANDS = "left_hand", "right_hand"
 WITHIN = np.array([1e-4, 1e-4])
+TOGETHER = jaxik.Task.pose(tip=HANDS[1], relative=HANDS[0])
 
 
 def arm(side, y):
@@ -134,7 +133,7 @@ def test_a_list_of_one_tip_has_one(two):
 
 
 def test_hands_that_are_there_already_stand(two):
-    moved = plan_motion(two.robot, np.stack([APART, APART]), APART, keep=HANDS)
+    moved = plan_motion(two.robot, np.stack([APART, APART]), APART, along=TOGETHER)
     assert moved.success.all() and (moved.length == 0.0).all()
     assert all(float(each.trajectory.duration) == 0.0 for each in moved)
 
@@ -147,11 +146,8 @@ def test_hands_that_are_there_already_stand(two):
         ({"moving": "base"}, "no joint moves base"),
         ({"moving": "left_hand"}, "right_0 stands at -0.6"),
         ({"moving": "left_hand", "escape": True}, "leave out escape or moving"),
-        ({"keep": "left_hand"}, "write the two tips"),
-        ({"keep": HANDS, "moving": "left_hand"}, "leave one of them out"),
-        ({"keep": ("left_hand", "left_hand")}, "no joint moves left_hand"),
-        ({"keep": HANDS, "keep_within": 0.0}, "two positive numbers"),
-        ({"keep": HANDS}, "allowed: half of keep_within"),
+        ({"along": jaxik.Task.pose()}, "a task names no tip"),
+        ({"along": TOGETHER, "along_within": 0.0}, "two positive numbers"),
     ],
 )
 def test_what_does_not_go_together_is_refused_in_one_line(two, options, words):
@@ -171,28 +167,14 @@ def test_two_hands_hold_one_thing(two):
     start = np.tile([0.0, -0.3, 0.8, 0.4, 0.0, 0.0], 2) + 0.15 * np.array([-1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0])
     lifted = start + np.tile([0.0, -0.6, 0.4, 0.2, 0.0, 0.0], 2)
     goal = carried(two, start, lifted)
-    moved = plan_motion(two.robot, start, goal, keep=HANDS)
+    moved = plan_motion(two.robot, start, goal, along=TOGETHER)
     assert moved, moved.why
     way = moved.trajectory.sample(1e-3 * float(moved.trajectory.duration)).q
     off = np.array([held(two, q, start).reshape(2, 3) for q in way])
     assert (np.linalg.norm(off, axis=2).max(axis=0) <= WITHIN + 1e-6).all()
     assert min(gap(two, q, scene=False) for q in way[::10]) > -1e-5
-    wide = plan_motion(two.robot, start, goal, keep=HANDS, keep_within=(1e-2, 1e-2))
+    wide = plan_motion(two.robot, start, goal, along=TOGETHER, along_within=(1e-2, 1e-2))
     assert wide and len(wide.waypoints) <= len(moved.waypoints)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_bounds_between_samples_hold(two, seed):
-    """Splines through random points, on no constraint."""
-    rng = np.random.default_rng(seed)
-    robot, start = two.robot, rng.uniform(-1.0, 1.0, 12)
-    path = JointPath.spline(start + np.cumsum(rng.normal(size=(6, 12)) * 0.05, axis=0))
-    kept = KeptPose("test", robot, HANDS, start, WITHIN, (robot.lower, robot.upper))
-    bounds, lengths = kept.bounds(path), np.asarray(path.lengths)
-    for piece, (length, curve) in enumerate(zip(lengths, np.asarray(path.coefficients), strict=True)):
-        q = [np.array([s**3, s**2, s, 1.0]) @ curve for s in np.linspace(0.0, length, 60)]
-        off = np.linalg.norm([held(two, each, start).reshape(2, 3) for each in q], axis=2).max(axis=0)
-        assert (off <= bounds[piece] + 1e-9).all() and (bounds[piece] < 1.1 * off + 0.01).all()
 
 
 def test_a_pose_of_no_tip_that_is_named():
