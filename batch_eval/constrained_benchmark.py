@@ -91,7 +91,7 @@ def between(
     while len(found) < count:
         starts, goals = (np.stack([draw(goal) for _ in range(64)]) for goal in (False, True))
         begin = jaxik.solve_ik(robot, starts, scene=scene)
-        # the nearest one: hands that point down have postures between which no way is within the limits
+        # the nearest one: of far ones many have postures between which no way was found
         end = jaxik.solve_ik(robot, goals, scene=scene, reference=begin.q, choice="closest", solutions=16)
         pairs = np.flatnonzero(begin.success & end.success).tolist()
         found += [Problem(begin.q[i], end.q[i], scene, task) for i in pairs]

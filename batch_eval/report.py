@@ -47,6 +47,7 @@ from tables.postures import (
 from tables.programs import programs_markdown
 from tables.teleoperation import teleoperation_markdown
 from tables.tips import tips_markdown
+from tables.tool_paths import tool_paths_markdown
 from tables.trees import trees_markdown
 from tables.two_arm_plans import two_arm_plans_markdown
 from tables.two_arms import two_arms_markdown
@@ -88,6 +89,7 @@ TABLES = {
     "slit_benchmark.json": slit_markdown,
     "sweep_benchmark.json": sweep_markdown,
     "teleoperation.json": teleoperation_markdown,
+    "tool_paths_benchmark.json": tool_paths_markdown,
     "torque_estimation.json": torque_markdown,
     "touch.json": touch_markdown,
     "trajectory_benchmark.json": trajectory_markdown,

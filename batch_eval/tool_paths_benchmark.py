@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from peers.cheapest_choice import dijkstra_cost
 from peers.collision_peers import Coal
 from race import clocked, machine
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.transform import Rotation
 from setups import motionbenchmaker, tool_paths
 
@@ -196,27 +195,6 @@ def against_dijkstra(count: int = 20) -> dict[str, Any]:
         steps = Steps(rng.uniform(0.5, 2.0, 6), np.full(6, rng.uniform(0.8, 2.0)), np.zeros(6, bool))
         worst = max(worst, abs(tool_choice.chosen(q, first, steps).total - dijkstra_cost(q, first, steps)))
     return {"cases": count, "most_apart": worst}
-
-
-def dijkstra_cost(q: np.ndarray, first: np.ndarray, steps: Steps) -> float:
-    """The cost of the cheapest way from any candidate of the first station to any of the last, a break at its price."""
-    count = len(q)
-    rows, columns, costs = [], [], []
-    for i in range(1, len(first) - 1):
-        for a in range(first[i - 1], first[i]):
-            for b in range(first[i], first[i + 1]):
-                moved = steps.between(q[a], q[b])
-                near = bool((np.abs(moved) <= steps.most).all())
-                rows.append(a)
-                columns.append(b)
-                costs.append(float(steps.costs(moved)) if near else tool_choice.BREAK)
-    source, sink = count, count + 1
-    for a in range(first[0], first[1]):
-        rows, columns, costs = [*rows, source], [*columns, a], [*costs, 1e-12]
-    for b in range(first[-2], first[-1]):
-        rows, columns, costs = [*rows, b], [*columns, sink], [*costs, 1e-12]
-    graph = csr_matrix((costs, (rows, columns)), shape=(count + 2, count + 2))
-    return float(dijkstra(graph, indices=source)[sink])
 
 
 def main() -> None:

@@ -1,0 +1,32 @@
+"""The table of tool paths."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Any
+
+
+def tool_paths_markdown(result: dict[str, Any]) -> str:
+    """A row for each of CppFlow's paths, and a line each on the raster, the choice and the mends."""
+    heads = "path", "poses", "solved", "free", "a call", "largest step", "length", "least time", "off, proven"
+    lines = [f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
+    for row in result["paths"]:
+        told = [f"{'yes' if row[key] else 'NO'}" for key in ("solved", "free")]
+        off = f"{row['proven'][0]:.3f} mm, {row['proven'][1]:.3f} deg"
+        sizes = f"{row['step_deg']:.1f} deg | {row['length_rad']:.2f} rad | {row['duration_s']:.2f} s | {off}"
+        lines.append(
+            f"| {row['name'].split('__')[-1]} | {row['poses']} | {' | '.join(told)} | {row['seconds']:.2f} s | {sizes} |"
+        )
+    raster, choice = result["raster"], result["dijkstra"]
+    text = (
+        f"A raster of {raster['poses']:,} poses with a free tool axis takes a {raster['robot']} {raster['seconds']:.1f} s, "
+        f"{raster['lifts']} lifts. The choice among candidates costs what SciPy's Dijkstra finds in {choice['cases']} cases, "
+        f"to {choice['most_apart']:.0e}."
+    )
+    if "mended" in result:
+        mended = result["mended"]
+        text += (
+            f" Of {mended['cases']} random paths that cannot be done {mended['told']} are told a mend, and {mended['work']} of "
+            f"these work; {mended['seconds']:.1f} s (median)."
+        )
+    return "\n".join([*lines, "", *textwrap.wrap(text, 130)])
