@@ -86,7 +86,7 @@ def cups(robot: jaxik.Robot, goals: list[motionbenchmaker.Goal], cone: float, se
 def between(
     robot: jaxik.Robot, count: int, scene: jaxik.Scene, task: Task, draw: Callable[[bool], np.ndarray]
 ) -> list[Problem]:
-    """So many problems between postures of poses that are drawn, of a start or of a goal."""
+    """The first `count` problems between postures of poses that are drawn, of a start or of a goal."""
     found: list[Problem] = []
     while len(found) < count:
         starts, goals = (np.stack([draw(goal) for _ in range(64)]) for goal in (False, True))

@@ -16,15 +16,12 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from peers.cheapest_choice import dijkstra_cost
 from peers.collision_peers import Coal
 from race import clocked, machine
 from scipy.spatial.transform import Rotation
 from setups import motionbenchmaker, tool_paths
 
 import jaxik
-from jaxik.planning import tool_choice
-from jaxik.planning.tool_choice import Steps
 
 TIP = "panda_hand"
 BETWEEN = 16  # moments from one pose to the next, at which the tip is judged
@@ -184,26 +181,13 @@ def mended(count: int) -> dict[str, Any]:
     }
 
 
-def against_dijkstra(count: int = 20) -> dict[str, Any]:
-    """The cost of the choice beside Dijkstra's over the whole graph, by SciPy."""
-    rng, worst = np.random.default_rng(0), 0.0
-    for _ in range(count):
-        stations = int(rng.integers(5, 15))
-        sizes = rng.integers(3, 20, stations)
-        first = np.concatenate([[0], np.cumsum(sizes)])
-        q = rng.uniform(-1.0, 1.0, (first[-1], 6))
-        steps = Steps(rng.uniform(0.5, 2.0, 6), np.full(6, rng.uniform(0.8, 2.0)), np.zeros(6, bool))
-        worst = max(worst, abs(tool_choice.chosen(q, first, steps).total - dijkstra_cost(q, first, steps)))
-    return {"cases": count, "most_apart": worst}
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--paths", type=Path, required=True)
     parser.add_argument("--panda", type=Path, required=True)
     parser.add_argument("--mends", type=int, default=0, help="of paths that cannot be done")
     asked = parser.parse_args()
-    result = {"machine": machine(), "dijkstra": against_dijkstra(), "raster": large_raster()}
+    result = {"machine": machine(), "raster": large_raster()}
     print(json.dumps(result), flush=True)
     result["paths"] = among_boxes(asked.paths, asked.panda)
     if asked.mends:

@@ -7,7 +7,7 @@ from typing import Any
 
 
 def tool_paths_markdown(result: dict[str, Any]) -> str:
-    """A row for each of CppFlow's paths, and a line each on the raster, the choice and the mends."""
+    """A row for each of CppFlow's paths, and a line each on the raster and the mends."""
     heads = "path", "poses", "solved", "free", "a call", "largest step", "length", "least time", "off, proven"
     lines = [f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
     for row in result["paths"]:
@@ -17,11 +17,10 @@ def tool_paths_markdown(result: dict[str, Any]) -> str:
         lines.append(
             f"| {row['name'].split('__')[-1]} | {row['poses']} | {' | '.join(told)} | {row['seconds']:.2f} s | {sizes} |"
         )
-    raster, choice = result["raster"], result["dijkstra"]
+    raster = result["raster"]
     text = (
         f"A raster of {raster['poses']:,} poses with a free tool axis takes a {raster['robot']} {raster['seconds']:.1f} s, "
-        f"{raster['lifts']} lifts. The choice among candidates costs what SciPy's Dijkstra finds in {choice['cases']} cases, "
-        f"to {choice['most_apart']:.0e}."
+        f"{raster['lifts']} lifts."
     )
     if "mended" in result:
         mended = result["mended"]

@@ -35,7 +35,7 @@ class TipLimits(NamedTuple):
 
     @property
     def wanted(self) -> list[tuple[int, float]]:
-        """Which of the two are limited, and how."""
+        """The numbers of the two that are limited, with their limits."""
         return [(i, float(most)) for i, most in enumerate((self.speed, self.turn)) if most is not None]
 
 

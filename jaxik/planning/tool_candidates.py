@@ -175,5 +175,5 @@ def _ends(
 
 
 def compared_round(robot: Robot, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Which joints (n,) have a turn and more between such limits, so that their closed forms may be a turn off."""
+    """Whether each joint (n,) has a turn and more between such limits, so that its closed form may be a turn off."""
     return endless(robot) | (~np.array(robot.is_prismatic) & (upper - lower >= TURN))

@@ -165,7 +165,7 @@ def _free(space: CollisionChecker, path: JointPath) -> np.ndarray:
 
 
 def _outside(path: JointPath, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Which joints (k, n) of each piece may be beyond their limits: its Bezier points say so, whose hull it is inside of."""
+    """Whether joints (k, n) of each piece may be beyond their limits: its Bezier points say so, whose hull it is inside of."""
     h = np.asarray(path.lengths)[:, None]
     cubic, square, linear, constant = np.moveaxis(np.asarray(path.coefficients), 1, 0)
     second = constant + 2.0 / 3.0 * linear * h + square * h**2 / 3.0

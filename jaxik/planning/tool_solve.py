@@ -146,7 +146,7 @@ def _twice(asked: Asked, poses: np.ndarray, coarse: Candidates, count: int) -> t
 
 
 def _slides(free: Free) -> np.ndarray:
-    """Which free values (k,) are those of joints that slide."""
+    """Whether each free value (k,) is that of a joint that slides."""
     robot, form = free.robot, free.upper
     from jaxik.analytic.families import redundancy
 
@@ -189,7 +189,7 @@ def _replaced(found: Candidates, rows: np.ndarray, others: Candidates) -> Candid
 
 
 def _near(steps: Steps, found: Candidates, q: np.ndarray, most: np.ndarray) -> Candidates:
-    """Those of the candidates that are near q (M, n) of their station."""
+    """The candidates that are near q (M, n) of their station."""
     station = np.repeat(np.arange(len(q)), np.diff(found.first))
     kept = (np.abs(steps.between(q[station], found.q)) <= most).all(axis=1)
     return Candidates(found.q[kept], found.values[kept], np.searchsorted(station[kept], np.arange(len(q) + 1)), found.reason)

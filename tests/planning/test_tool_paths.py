@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from peers.cheapest_choice import dijkstra_cost
 from robots import pose_errors
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
 
 import jaxik
 from jaxik.planning import JointPath, tool_choice
@@ -42,6 +43,24 @@ def random_graph(rng, n=4):
     around = rng.random(n) < 0.5
     steps = Steps(rng.uniform(0.5, 2.0, n), np.full(n, rng.uniform(0.5, 2.0)), around)
     return rng.uniform(-3.0, 3.0, (first[-1], n)), first, steps
+
+
+def dijkstra_cost(q, first, steps):
+    """The cost of the cheapest way from any candidate of the first station to any of the last, a break at its price."""
+    count = len(q)
+    edges = []
+    for i in range(1, len(first) - 1):
+        for a in range(first[i - 1], first[i]):
+            for b in range(first[i], first[i + 1]):
+                moved = q[b] - q[a]
+                moved = np.where(steps.round, np.arctan2(np.sin(moved), np.cos(moved)), moved)
+                near = (np.abs(moved) <= steps.most).all()
+                edges.append((a, b, float(np.linalg.norm(steps.weights * moved)) if near else tool_choice.BREAK))
+    edges += [(count, a, 1e-12) for a in range(first[1])]
+    edges += [(b, count + 1, 1e-12) for b in range(first[-2], first[-1])]
+    rows, columns, costs = zip(*edges, strict=True)
+    graph = csr_matrix((costs, (rows, columns)), shape=(count + 2, count + 2))
+    return float(dijkstra(graph, indices=count)[count + 1])
 
 
 @pytest.mark.parametrize("seed", range(20))
