@@ -5,11 +5,8 @@ Until s further both are within
 
     |p - p_0 - p_0' s| <= max|p''| s^2 / 2,      turn <= |omega_0| s + max|omega'| s^2 / 2,
 
-    |p''| <= sum_i |q_i''| r_i + sum_ij |q_i'| |q_j'| r_max(i,j),   |omega'| <= sum_i |q_i''| + sum_i<j |q_i'| |q_j'|,
-
-of the joints that move the tip against what it is seen from, each at most r_i from it. An axis a of the tip is a point that is
-carried at a distance of 1: a'' is bounded by the first with r = 1, its angle by its chord. Deviations are those from the sets
-that the tasks allow.
+with the second derivatives of `tip_bounds`. An axis of the tip is bounded in its angle by its chord. Deviations are those from
+the sets that the tasks allow.
 """
 
 from __future__ import annotations
@@ -20,12 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.kinematics.forward import joint_frames
-from jaxik.kinematics.reach_bound import Ends
-from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
 from jaxik.kinematics.task_regions import Region
 from jaxik.optimise.linear import dot
+from jaxik.planning.cubic_pieces import derivatives
 from jaxik.planning.kept_law import Kept, Law
+from jaxik.planning.tip_bounds import TipBounds
 from jaxik.planning.trajectory import JointPath
 from jaxik.spatial.algebra import traced
 from jaxik.spmd.batch import in_blocks
@@ -40,7 +37,7 @@ class KeptBounds:
 
     def __init__(self, kept: Kept, tolerance: np.ndarray):
         self.kept, self.tolerance = kept, tolerance
-        self.chains = [_Chain(kept.law.robot, ends) for ends in kept.law.tasks.ends]
+        self.chains = [TipBounds(kept.law.robot, ends) for ends in kept.law.tasks.ends]
 
     def each_away(self, q: np.ndarray) -> list[np.ndarray]:
         """How far configurations (b, n) are off each task, in place and turn (b, 2) [m, rad]."""
@@ -54,10 +51,7 @@ class KeptBounds:
         """The most that each piece (k, 2) of a path of cubics is off, between samples, too, in place and turn [m, rad], by as
         many samples as tell that it keeps the tolerance, or by the most."""
         lengths, curve = np.asarray(path.lengths, float), np.asarray(path.coefficients, float)
-        along = lengths[:, None]
-        ends = curve[:, 2], (3.0 * curve[:, 0] * along + 2.0 * curve[:, 1]) * along + curve[:, 2]
-        rate = np.maximum(*map(np.abs, ends)) + 0.75 * along**2 * np.abs(curve[:, 0])
-        bend = np.maximum(np.abs(2.0 * curve[:, 1]), np.abs(6.0 * curve[:, 0] * along + 2.0 * curve[:, 1]))
+        rate, bend = derivatives(path)
         second = [chain.second(rate, bend) for chain in self.chains]
         found, left = np.full((len(lengths), 2), np.inf), np.arange(len(lengths))
         for count in PARTS:
@@ -242,45 +236,3 @@ def _looking(
         sharp = second[:, 2] + second[:, 0] / nearest + 3.0 * ((speed + second[:, 0] * half) / nearest) ** 2
         off = _within_cone(cone, axis - along, moved, 0.5 * sharp * half**2)
     return np.where(nearest > 0.0, off, np.inf)
-
-
-class _Chain:
-    """The joints between two tips, or from the base to one: how much each of the robot's moves each (m, n), how far each is
-    from the tip at most (m,), and whether it turns (m,)."""
-
-    def __init__(self, robot: Robot, ends: Ends):
-        seen_from, tip = ends
-        before, behind = robot.tree.apart(0 if seen_from < 0 else robot.tips[seen_from], robot.tips[tip])
-        far = lambda frame: float(np.linalg.norm(np.asarray(frame)[:3, 3]))
-        n, factors = robot.num_joints, np.ones(len(robot.tree.parents))
-        for k, mimic in enumerate(robot.mimics):
-            factors[n + k] = abs(float(mimic.factor))
-        most = np.maximum(np.abs(robot.lower), np.abs(robot.upper))
-        offset = lambda k: abs(float(robot.mimics[k - n].offset)) if k >= n else 0.0
-        slide = lambda k: factors[k] * most[robot.tree.joints[k]] + offset(k) if robot.tree.slides[k] else 0.0
-        apart, reach, levers = lambda k: far(robot.parent_T_joint[k]) + slide(k), far(robot.tip_frames[tip]), {}
-        for row in behind[::-1]:
-            levers[row] = reach
-            reach += apart(row)
-        for row in before:
-            reach += apart(row)
-            levers[row] = reach
-        chain = [*before[::-1], *behind]
-        self.rows = np.zeros((len(chain), n))
-        self.rows[range(len(chain)), [robot.tree.joints[row] for row in chain]] = [factors[row] for row in chain]
-        self.turns = np.array([not robot.tree.slides[row] for row in chain], float)
-        self.lever = np.where(self.turns > 0.0, [levers[row] for row in chain], 1.0)
-        later = np.maximum.outer(np.arange(len(chain)), np.arange(len(chain)))
-        sooner = np.minimum.outer(np.arange(len(chain)), np.arange(len(chain)))
-        self.pairs = self.lever[later] * self.turns[sooner]
-
-    def second(self, rate: np.ndarray, bend: np.ndarray) -> np.ndarray:
-        """Bounds of the second derivatives (k, 3) of the place, of the turn, and of an axis of the tip, where joints have at
-        most such derivatives (k, n)."""
-        first, second = rate @ self.rows.T, bend @ self.rows.T
-        place = second @ self.lever + np.einsum("ki,kj,ij->k", first, first, self.pairs)
-        turning = first * self.turns
-        whole = turning.sum(axis=1)
-        pairs = 0.5 * (whole**2 - (turning**2).sum(axis=1))
-        turned = second @ self.turns
-        return np.stack([place, turned + pairs, turned + whole**2], axis=1)

@@ -21,6 +21,7 @@ from jaxik.kinematics.task import Task
 from jaxik.kinematics.task_regions import Region
 from jaxik.kinematics.tasks import tasks_of
 from jaxik.planning.collision_checker import CLOSE, CollisionChecker
+from jaxik.planning.cubic_pieces import at_share, bezier, derivatives
 from jaxik.planning.kept_bounds import KeptBounds
 from jaxik.planning.kept_law import Kept, Law, frames_at
 from jaxik.planning.kept_lines import Manifold
@@ -272,7 +273,7 @@ class _Problem:
             path = JointPath.spline(way)
             if (self.bounds.beyond(path) <= self.along.tolerance).all():
                 return (path, way) if self._free(path) else (None, None)
-            middle = _at(path, 0.5)
+            middle = at_share(path, 0.5)
             new, there = self.kept.brought(middle)
             both = np.empty((len(way) + len(new), way.shape[1]))
             both[::2], both[1::2] = way, np.where(there[:, None], new, middle)
@@ -281,17 +282,17 @@ class _Problem:
 
     def _free(self, path: JointPath) -> bool:
         """Whether a spline is proven to keep the limits and the margin."""
-        points, space = _bezier(path), self.space
+        points, space = bezier(path), self.space
         low, high = np.minimum(space.lower, self.ends.min(axis=0)), np.maximum(space.upper, self.ends.max(axis=0))
         if (points < low - BEYOND).any() or (points > high + BEYOND).any():
             return False
         lengths, curve = np.asarray(path.lengths), np.asarray(path.coefficients)
-        bend = np.maximum(np.abs(2.0 * curve[:, 1]), np.abs(6.0 * curve[:, 0] * lengths[:, None] + 2.0 * curve[:, 1]))
+        _, bend = derivatives(path)
         left = np.arange(len(lengths))
         for chords in CHORDS:
             some = JointPath(lengths[left], curve[left])
             away = (bend[left] @ space.weights) * (lengths[left] / chords) ** 2 / 8.0
-            q = np.stack([_at(some, share) for share in np.linspace(0.0, 1.0, chords + 1)])
+            q = np.stack([at_share(some, share) for share in np.linspace(0.0, 1.0, chords + 1)])
             rows = lambda x: x.reshape(-1, x.shape[-1])
             among = np.full(chords * len(left), self.scene)
             free = space.proven(rows(q[:-1]), rows(q[1:]), np.tile(away, chords), CLOSE, among)
@@ -299,18 +300,3 @@ class _Problem:
             if not len(left):
                 return True
         return False
-
-
-def _at(path: JointPath, share: float) -> np.ndarray:
-    """The points (k, n) at such a share of each piece."""
-    s = share * np.asarray(path.lengths)[:, None]
-    cubic, square, linear, constant = np.moveaxis(np.asarray(path.coefficients), 1, 0)
-    return ((cubic * s + square) * s + linear) * s + constant
-
-
-def _bezier(path: JointPath) -> np.ndarray:
-    """The Bezier points (4, k, n) of each piece, whose hull it is inside of."""
-    h = np.asarray(path.lengths)[:, None]
-    cubic, square, linear, constant = np.moveaxis(np.asarray(path.coefficients), 1, 0)
-    second = constant + 2.0 / 3.0 * linear * h + square * h**2 / 3.0
-    return np.stack([constant, constant + linear * h / 3.0, second, ((cubic * h + square) * h + linear) * h + constant])

@@ -2,50 +2,55 @@
 
     |p''| <= sum_i |q_i''| r_i + sum_ij |q_i'| |q_j'| r_max(i,j),   |omega'| <= sum_i |q_i''| + sum_i<j |q_i'| |q_j'|
 
-of the joints from the base to the tip, each at most r_i from it [Siciliano et al. 2009, sec. 3.1].
+of the joints that move the tip against what it is seen from, the base or another tip, each at most r_i from it [Siciliano et
+al. 2009, sec. 3.1]. An axis a of the tip is a point that is carried at a distance of 1: a'' is bounded by the first with r = 1.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
+from jaxik.kinematics.reach_bound import Ends
 from jaxik.kinematics.robot import Robot
 
 
-class TipBounds(NamedTuple):
-    """The joints on the way to a tip: how much each of the robot's moves each (m, n), the most that each is from the tip (m,)
-    [m], 1 for one that slides, and whether each turns (m,)."""
+class TipBounds:
+    """The joints between two tips, or from the base to one: how much each of the robot's moves each (m, n), how far each is
+    from the tip at most (m,), and whether it turns (m,)."""
 
-    rows: np.ndarray
-    lever: np.ndarray
-    turns: np.ndarray
-
-    @staticmethod
-    def of(robot: Robot, tip: int) -> TipBounds:
-        """The bounds of a robot's tip of such a number."""
-        tree, n = robot.tree, robot.num_joints
-        way = tree.way(robot.tips[tip])
+    def __init__(self, robot: Robot, ends: Ends):
+        seen_from, tip = ends
+        before, behind = robot.tree.apart(0 if seen_from < 0 else robot.tips[seen_from], robot.tips[tip])
         far = lambda frame: float(np.linalg.norm(np.asarray(frame)[:3, 3]))
+        n, factors = robot.num_joints, np.ones(len(robot.tree.parents))
+        for k, mimic in enumerate(robot.mimics):
+            factors[n + k] = abs(float(mimic.factor))
         most = np.maximum(np.abs(robot.lower), np.abs(robot.upper))
-        rows, lever, reach = np.zeros((len(way), n)), np.ones(len(way)), far(robot.tip_frames[tip])
-        for k in reversed(range(len(way))):
-            row = way[k]
-            mimic = robot.mimics[row - n] if row >= n else None
-            factor, offset = (1.0, 0.0) if mimic is None else (abs(float(mimic.factor)), abs(float(mimic.offset)))
-            rows[k, tree.joints[row]] = factor
-            if not tree.slides[row]:
-                lever[k] = reach
-            slid = factor * most[tree.joints[row]] + offset if tree.slides[row] else 0.0
-            reach += far(robot.parent_T_joint[row]) + slid
-        return TipBounds(rows, lever, np.array([not tree.slides[row] for row in way], float))
+        offset = lambda k: abs(float(robot.mimics[k - n].offset)) if k >= n else 0.0
+        slide = lambda k: factors[k] * most[robot.tree.joints[k]] + offset(k) if robot.tree.slides[k] else 0.0
+        apart, reach, levers = lambda k: far(robot.parent_T_joint[k]) + slide(k), far(robot.tip_frames[tip]), {}
+        for row in behind[::-1]:
+            levers[row] = reach
+            reach += apart(row)
+        for row in before:
+            reach += apart(row)
+            levers[row] = reach
+        chain = [*before[::-1], *behind]
+        self.rows = np.zeros((len(chain), n))
+        self.rows[range(len(chain)), [robot.tree.joints[row] for row in chain]] = [factors[row] for row in chain]
+        self.turns = np.array([not robot.tree.slides[row] for row in chain], float)
+        self.lever = np.where(self.turns > 0.0, [levers[row] for row in chain], 1.0)
+        later = np.maximum.outer(np.arange(len(chain)), np.arange(len(chain)))
+        sooner = np.minimum.outer(np.arange(len(chain)), np.arange(len(chain)))
+        self.pairs = self.lever[later] * self.turns[sooner]
 
-    def second(self, rate: np.ndarray, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of |p''| and |omega'| (k,) where joints have at most such first and second derivatives (k, n)."""
+    def second(self, rate: np.ndarray, bend: np.ndarray) -> np.ndarray:
+        """Bounds of the second derivatives (k, 3) of the place, of the turn, and of an axis of the tip, where joints have at
+        most such derivatives (k, n)."""
         first, second = rate @ self.rows.T, bend @ self.rows.T
+        place = second @ self.lever + np.einsum("ki,kj,ij->k", first, first, self.pairs)
         turning = first * self.turns
-        below = np.cumsum(turning, axis=1) - turning  # of the joints before each, which carry it round
-        place = second @ self.lever + (first * (2.0 * below + turning)) @ self.lever
-        pairs = 0.5 * (turning.sum(axis=1) ** 2 - (turning**2).sum(axis=1))
-        return place, second @ self.turns + pairs
+        whole = turning.sum(axis=1)
+        pairs = 0.5 * (whole**2 - (turning**2).sum(axis=1))
+        turned = second @ self.turns
+        return np.stack([place, turned + pairs, turned + whole**2], axis=1)

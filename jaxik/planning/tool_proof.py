@@ -21,6 +21,7 @@ from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.tasks import Tasks
 from jaxik.planning.collision_checker import CLOSE, CollisionChecker
+from jaxik.planning.cubic_pieces import at_share, bezier, derivatives
 from jaxik.planning.tip_bounds import TipBounds
 from jaxik.planning.tool_follow import Followed
 from jaxik.planning.tool_line import ToolLine
@@ -55,7 +56,7 @@ class Proven(NamedTuple):
 
 def proven(follow: Followed, line: ToolLine, s: np.ndarray, q: np.ndarray, tolerance: np.ndarray) -> Proven:
     """The spline through configurations q (M, n) at s (M,), M >= 2, with as many more between them as its proof takes."""
-    bounds = TipBounds.of(follow.robot, follow.tasks.ends[0][1])
+    bounds = TipBounds(follow.robot, follow.tasks.ends[0])
     for number in range(FINER + 1):
         path = spline(s, q)
         off = _off(follow.robot, follow.tasks, bounds, path, line, s, tolerance)
@@ -67,7 +68,7 @@ def proven(follow: Followed, line: ToolLine, s: np.ndarray, q: np.ndarray, toler
         if not len(halved) or number == FINER:
             break
         middle = 0.5 * (s[halved] + s[halved + 1])
-        near = _at(path, 0.5)[halved]
+        near = at_share(path, 0.5)[halved]
         new, there = follow.brought(near, line.at(middle, line.pieces(middle)))
         halved, middle, new = halved[there], middle[there], new[there]
         if not len(halved):
@@ -88,8 +89,8 @@ def _off(
 ) -> np.ndarray:
     """The most (k, 2) that the tip is off in its place [m] and turn [rad] on each piece."""
     lengths, curve = np.asarray(path.lengths), np.asarray(path.coefficients)
-    rate, bend = _derivatives(path)
-    place, turn = bounds.second(rate, bend)
+    rate, bend = derivatives(path)
+    place, turn, _ = bounds.second(rate, bend).T
     piece = line.pieces(0.5 * (s[1:] + s[:-1]))
     moving, turning = line.slopes(piece)
     spin, omega = np.linalg.norm(turning, axis=1), rate @ (bounds.rows.T @ bounds.turns)
@@ -146,19 +147,11 @@ def _ends(robot: Robot, tasks: Tasks, q: Any, slope: Any, pose: Any, moving: Any
     return size(-1.0), size(1.0)
 
 
-def _derivatives(path: JointPath) -> tuple[np.ndarray, np.ndarray]:
-    """The most (k, n) of each joint's first and second derivative on each piece of cubics."""
-    along, curve = np.asarray(path.lengths)[:, None], np.asarray(path.coefficients)
-    ends = curve[:, 2], (3.0 * curve[:, 0] * along + 2.0 * curve[:, 1]) * along + curve[:, 2]
-    rate = np.maximum(*map(np.abs, ends)) + 0.75 * along**2 * np.abs(curve[:, 0])
-    return rate, np.maximum(np.abs(2.0 * curve[:, 1]), np.abs(6.0 * curve[:, 0] * along + 2.0 * curve[:, 1]))
-
-
 def _free(space: CollisionChecker, path: JointPath) -> np.ndarray:
     """Whether each piece (k,) is proven to keep the margin: by chords, with room for how far it is from them."""
-    lengths, (_, bend) = np.asarray(path.lengths), _derivatives(path)
+    lengths, (_, bend) = np.asarray(path.lengths), derivatives(path)
     away = (bend @ space.weights) * (lengths / CHORDS) ** 2 / 8.0
-    q = np.stack([_at(path, share) for share in np.linspace(0.0, 1.0, CHORDS + 1)])
+    q = np.stack([at_share(path, share) for share in np.linspace(0.0, 1.0, CHORDS + 1)])
     rows = lambda x: x.reshape(-1, x.shape[-1])
     free = space.proven(rows(q[:-1]), rows(q[1:]), np.tile(away, CHORDS), CLOSE)
     return np.asarray(free.reshape(CHORDS, -1).all(axis=0))
@@ -166,15 +159,5 @@ def _free(space: CollisionChecker, path: JointPath) -> np.ndarray:
 
 def _outside(path: JointPath, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Whether joints (k, n) of each piece may be beyond their limits: its Bezier points say so, whose hull it is inside of."""
-    h = np.asarray(path.lengths)[:, None]
-    cubic, square, linear, constant = np.moveaxis(np.asarray(path.coefficients), 1, 0)
-    second = constant + 2.0 / 3.0 * linear * h + square * h**2 / 3.0
-    points = np.stack([constant + linear * h / 3.0, second, ((cubic * h + square) * h + linear) * h + constant])
+    points = bezier(path)[1:]  # the first is the last of the piece before
     return np.asarray(((points < lower - BEYOND) | (points > upper + BEYOND)).any(axis=0))
-
-
-def _at(path: JointPath, share: float) -> np.ndarray:
-    """The points (k, n) at such a share of each piece."""
-    x = share * np.asarray(path.lengths)[:, None]
-    cubic, square, linear, constant = np.moveaxis(np.asarray(path.coefficients), 1, 0)
-    return ((cubic * x + square) * x + linear) * x + constant

@@ -7,6 +7,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 import jaxik
+from jaxik.kinematics.tasks import BASE_END
 from jaxik.planning import JointPath, tool_choice
 from jaxik.planning.tip_bounds import TipBounds
 from jaxik.planning.tip_speed import TipLimits, tipped
@@ -193,11 +194,11 @@ def test_a_line_of_poses_is_what_scipy_makes_of_it():
 
 
 def test_bounds_of_the_tips_acceleration_hold(panda):
-    rng, bounds, h = np.random.default_rng(0), TipBounds.of(panda, 0), 1e-4
+    rng, bounds, h = np.random.default_rng(0), TipBounds(panda, (BASE_END, 0)), 1e-4
     for _ in range(50):
         q, rate, bend = rng.uniform(panda.lower, panda.upper), rng.normal(size=7), rng.normal(size=7)
         places = pinocchio_poses(panda, [q + s * rate + 0.5 * s * s * bend for s in (-h, 0.0, h)])[:, :3, 3]
-        place, _ = bounds.second(np.abs(rate)[None], np.abs(bend)[None])
+        place, *_ = bounds.second(np.abs(rate)[None], np.abs(bend)[None]).T
         assert np.linalg.norm(places[0] - 2.0 * places[1] + places[2]) / h**2 <= place[0] + 1e-3
 
 
