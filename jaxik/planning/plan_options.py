@@ -1,4 +1,4 @@
-"""The options of `plan_motion`."""
+"""The options of `plan_motion`, and the limits that all timed motions share."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from jaxik.kinematics.task import POSE, Task
 from jaxik.options import Options, choice, count, flag, instance, names, number, pair, per_joint
 
 
-class PlanOptions(Options, who="plan_motion"):
-    """The search and the timing of `plan_motion`."""
+class LimitOptions(Options):
+    """The limits of a motion's timing."""
 
-    margin: float = number(default=0.0, unit="m", words="least clearance on the way")
     velocity: Any = per_joint(
         default=None, unit="rad/s, m/s", words="limits of velocity, one number or one a joint; None is the robot's"
     )
@@ -23,6 +22,12 @@ class PlanOptions(Options, who="plan_motion"):
     jerk: Any = per_joint(
         default=None, unit="rad/s3, m/s3", words="limits of jerk, one number or one a joint; None is no limit"
     )
+
+
+class PlanOptions(LimitOptions, who="plan_motion"):
+    """The search and the timing of `plan_motion`."""
+
+    margin: float = number(default=0.0, unit="m", words="least clearance on the way")
     rounds: int = count(
         default=100_000,
         words="rounds of the search at most, sixteen samples each; after 30, 60 and 80 % of them it looks closer",

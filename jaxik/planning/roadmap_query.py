@@ -11,10 +11,11 @@ import numpy as np
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
-from jaxik.options import Options, count, instance, per_joint
+from jaxik.options import count, instance
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.limits import AnyLimits, Limits, limit_of, motion_limits
 from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, reached, turned
+from jaxik.planning.plan_options import LimitOptions
 from jaxik.planning.plan_result import Place, PlanResult
 from jaxik.planning.planner import admitted, arrived, rounded, timed
 from jaxik.planning.roadmap_graph import Graph, Joined, unwound
@@ -24,20 +25,9 @@ from jaxik.reasons import Reason
 FURTHER = 8  # times as many nodes that are tried where no line to the nearest ones is free
 
 
-class QueryOptions(Options, who="Roadmap"):
+class QueryOptions(LimitOptions, who="Roadmap"):
     """The limits of a way on a roadmap, and of its timing."""
 
-    velocity: Any = per_joint(
-        default=None, unit="rad/s, m/s", words="limits of velocity, one number or one a joint; None is the robot's"
-    )
-    acceleration: Any = per_joint(
-        default=None,
-        unit="rad/s2, m/s2",
-        words="limits of acceleration, one number or one a joint; None is four times the velocity a second",
-    )
-    jerk: Any = per_joint(
-        default=None, unit="rad/s3, m/s3", words="limits of jerk, one number or one a joint; None is no limit"
-    )
     near: int = count(default=8, words="nearest nodes that a posture is joined to; where it is to none, eight times as many")
     rounds: int = count(default=0, least=0, words="rounds of a search where the roadmap knows no way; 0: none")
     task: Task = instance(default=POSE, kind=Task, words="what a pose as the goal binds")

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 
 from jaxik.kinematics.task import POSE, Task
-from jaxik.options import Options, count, flag, instance, number, pair, per_joint
+from jaxik.options import count, flag, instance, number, pair, per_joint
+from jaxik.planning.plan_options import LimitOptions
 
 DEGREE = float(np.pi / 180.0)
 
 
-class PathOptions(Options, who="plan_path"):
+class PathOptions(LimitOptions, who="plan_path"):
     """The choice of configurations along a tool's path, and the timing, by `plan_path`."""
 
     task: Task = instance(default=POSE, kind=Task, words="what each pose binds: a free axis is one more redundancy")
@@ -56,15 +57,4 @@ class PathOptions(Options, who="plan_path"):
         least=0.0,
         unit="m",
         words="how far it lifts off, against the tool's z, before it moves to another posture",
-    )
-    velocity: Any = per_joint(
-        default=None, unit="rad/s, m/s", words="limits of velocity, one number or one a joint; None is the robot's"
-    )
-    acceleration: Any = per_joint(
-        default=None,
-        unit="rad/s2, m/s2",
-        words="limits of acceleration, one number or one a joint; None is four times the velocity a second",
-    )
-    jerk: Any = per_joint(
-        default=None, unit="rad/s3, m/s3", words="limits of jerk, one number or one a joint; None is no limit"
     )
