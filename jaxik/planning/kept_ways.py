@@ -178,30 +178,47 @@ def _search(
     left_seconds = None if np.isinf(end) else max(0.0, end - time.monotonic())
     clock = Clock(left_seconds, lambda taken, ended: told(taken, done + ended), searches)
     spent, left = np.zeros(count, int), np.arange(count)
-    for look in LOOKS:
-        limit = np.full(count, int(np.ceil(look.share * rounds)))
-        cushion = np.array([float(kept_of(p.most, look.cushion)[0]) for p in problems])
-        for _ in range(TRIES):
-            if not len(left) or clock.over:
-                break
-            search_on(searches, left, look, cushion, limit - spent, clock)
-            joined = left[searches.found.joined[left]]
-            if not len(joined):
-                break
-            for i in joined.tolist():
-                manifold = problems[i].manifold(STRIDE * look.step, LOOSER * cushion[i])
-                if problems[i].finished(manifold, searches.way(i)):
-                    clock.ended += 1
-                else:
-                    searches.begin(i)
-                    spent[i] += UNPROVEN
+    while len(left) and not clock.over:  # anew with other samples, where trees were given up before the rounds are over
+        taken = searches.taken + spent
+        for look in LOOKS:
+            limit = taken + np.ceil(look.share * (rounds - taken)).astype(int)
+            _look(searches, problems, left, look, limit, spent, clock)
             left = np.array([i for i in left if problems[i].path is None], int)
-        left = np.array([i for i in left if problems[i].path is None], int)
+        left = left[(searches.taken + spent)[left] < rounds]
+        for i in left.tolist():
+            searches.begin(i)
     for i, problem in enumerate(problems):
         problem.rounds = int(searches.taken[i] + spent[i])
         problem.checked += 16 * int(searches.taken[i])
         if problem.path is None:
             problem.gap = searches.gap(i)
+
+
+def _look(
+    searches: Searches,
+    problems: list[_Problem],
+    left: np.ndarray,
+    look: Look,
+    limit: np.ndarray,
+    spent: np.ndarray,
+    clock: Clock,
+) -> None:
+    """Grows the trees of the problems that are `left` by a look, up to a `limit` (b,) of rounds, of which some are `spent` (b,)
+    on ways that could not be proven: after such a one by other samples."""
+    cushion = np.array([float(kept_of(p.most, look.cushion)[0]) for p in problems])
+    for _ in range(TRIES):
+        if not len(left) or clock.over:
+            break
+        search_on(searches, left, look, cushion, limit - spent, clock)
+        left = left[searches.found.joined[left]]  # the others look closer
+        for i in left.tolist():
+            manifold = problems[i].manifold(STRIDE * look.step, LOOSER * cushion[i])
+            if problems[i].finished(manifold, searches.way(i)):
+                clock.ended += 1
+            else:
+                searches.begin(i)
+                spent[i] += UNPROVEN
+        left = np.array([i for i in left if problems[i].path is None], int)
 
 
 def _inside_limits(space: CollisionChecker, start: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
