@@ -9,13 +9,12 @@ from jaxik.kinematics.task import Task
 from jaxik.kinematics.tasks import tasks_of
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.kept_law import Kept, Law
-from jaxik.planning.kept_ways import Along
+from jaxik.planning.kept_ways import DRAWN, Along
 from jaxik.planning.limits import AnyLimits
 from jaxik.planning.motion_ends import Answers, different
 from jaxik.planning.ways import search_range
 from jaxik.reasons import Reason
 
-DRAWN = 256  # random configurations that are brought to a pose
 ROUNDED = 1e-6  # [m, rad] by which a pose and the tasks may contradict each other: what float32 makes of them
 
 

@@ -41,6 +41,7 @@ SLACK = 1e-3  # [rad, m] within the limits, in which points are sought, for what
 BEYOND = 1e-6  # [rad, m] by which a joint may be beyond its limits: what float32 makes of them
 INSIDE = 2e-3, 1e-2  # [m], [rad] that points are inside of what a task allows
 SHARE = 0.25  # of its width, at most
+DRAWN = 256  # random configurations that are brought to where tasks are kept
 LOOSER = 0.25  # of what the samples of a search keep beyond the margin, that points between them keep
 
 
@@ -98,6 +99,14 @@ class Along:
     def holds(self, off: np.ndarray) -> np.ndarray:
         """Whether ends that are so far off (b, k, 2) may be those of a motion: by half of the tolerance."""
         return np.asarray((off <= 0.5 * self.tolerance).all(axis=(1, 2)))
+
+    def contradict(self, start: np.ndarray) -> bool:
+        """Whether no configuration was found that keeps all of several tasks of a motion from a start (n,): neither near to it
+        nor to random ones."""
+        low, high = self.robot.finite_limits
+        drawn = np.random.default_rng(0).uniform(low, high, (DRAWN, len(start)))
+        kept = Kept(self.law, self.targets(start[None])[0], low, high)
+        return len(self.each) > 1 and not kept.brought(np.concatenate([start[None], drawn]))[1].any()
 
     def words(self, off: np.ndarray) -> str:
         """Tells the task that an end is off, and by how much (k, 2)."""

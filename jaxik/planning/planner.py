@@ -214,7 +214,8 @@ def _off_tasks(along: Along, starts: np.ndarray, goals: list[np.ndarray], ended:
             k = 0 if not holds[0] else 1 + int(np.argmin((off[1:] / along.tolerance).max(axis=(1, 2))))
             ended.reason[i], ended.where[i] = int(Reason.OFF_TASK), "goal" if k else "start"
             ended.stuck[i] = starts[i] if not k else each[k - 1]
-            words[i] = along.words(off[k])
+            several = f", and no configuration was found that keeps all {len(along.each)} tasks of along together"
+            words[i] = along.words(off[k]) + several * bool(k == 0 and along.contradict(starts[i]))
         goals[i] = each[holds[1:] & holds[0]]
     return tuple(words)
 
