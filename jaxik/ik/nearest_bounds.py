@@ -15,7 +15,7 @@ v_i, w_i the columns of a tip's Jacobian, i < j along its way, and |v_i| <= r_i 
                     T = |theta sin^2 - 3 cos (sin - theta cos)| / sin^2 + 3 (1 - theta cot theta) / sin + theta / sin
 
 The last line is from cos theta, a trace of products of rotations whose derivatives are at most 1, the first at most sin theta.
-T rises up to pi. Of the third order the least value for any x counts, where that matrix is definite.
+T rises up to pi. The third order counts with its least value for any x, where that matrix is definite.
 """
 
 from __future__ import annotations
