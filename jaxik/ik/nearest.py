@@ -47,7 +47,7 @@ CLOSE = 1e-4, 1e-2  # [m], of the least distance: ends that are no further behin
 KEPT, APART = 6, 0.02  # ends of a target that are made exact, and how far they are apart in some joint [rad, m]
 TIE = 1e-9  # [m] between distances that are equal
 FIRST = 0.02, 1e-4  # [m/rad] of a search that puts the position first, and of its finish
-LEANING, LEANED = 8, 40  # lanes of a target among obstacles, and their steps
+LEANING, LEANED = 32, 40  # lanes of a target among obstacles, and their steps
 LEANS = 1e-6  # [rad, m] from a limit, where a joint is at it
 LEAN_MARGIN = 1e-6  # [m] more clearance than is asked for, which rounding may use up
 

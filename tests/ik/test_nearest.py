@@ -291,6 +291,23 @@ def test_several_tips(tmp_path):
     np.testing.assert_allclose(result.distance[far], errors[far])
 
 
+def least_clear(robot, scene, margin, pose, starts):
+    """The least distance to a pose that SLSQP finds from some starts, with the clearance as a constraint."""
+    low, high = (np.clip(end, -np.pi, np.pi) for end in (robot.lower, robot.upper))
+    ends = []
+    with jax.enable_x64(True):
+        clear = jax.jit(jax.value_and_grad(lambda q: jaxik.clearance(robot, scene, q)))
+        cost = jax.jit(jax.value_and_grad(lambda q: half_square(robot, q, pose)))
+        for q in starts:
+            kept = {"fun": lambda q: float(clear(q)[0]) - margin, "jac": lambda q: np.asarray(clear(q)[1])}
+            both = lambda q: tuple(map(np.asarray, cost(q)))
+            bounds = list(zip(low, high, strict=True))
+            found = minimize(both, q, jac=True, method="SLSQP", bounds=bounds, constraints={"type": "ineq"} | kept)
+            if clear(found.x)[0] >= margin - 1e-9:
+                ends.append(np.sqrt(2.0 * found.fun))
+    return min(ends)
+
+
 def test_among_obstacles_it_is_clear_and_the_best_that_scipy_finds():
     """Postures clear of a scene, no further than what SLSQP finds from random starts with the clearance as a constraint."""
     robot, margin = jaxik.load("pendulum4"), 0.01
@@ -305,20 +322,21 @@ def test_among_obstacles_it_is_clear_and_the_best_that_scipy_finds():
     result = jaxik.solve_ik(robot, targets, scene=scene, margin=margin, nearest=True)
     assert result.counts() == {"nearest": 4} and (result.clearance >= margin).all()
     assert (result.distance > blind.distance + 1e-3).all() and not result.proven.any()
-    low, high = (np.clip(end, -np.pi, np.pi) for end in (robot.lower, robot.upper))
-    with jax.enable_x64(True):
-        clear = jax.jit(jax.value_and_grad(lambda q: jaxik.clearance(robot, scene, q)))
-        cost = jax.jit(jax.value_and_grad(lambda q, pose: half_square(robot, q, pose)))
-        for distance, pose in zip(result.distance, targets, strict=True):
-            ends = []
-            for q in rng.uniform(low, high, (12, 4)):
-                kept = {"fun": lambda q: float(clear(q)[0]) - margin, "jac": lambda q: np.asarray(clear(q)[1])}
-                both = lambda q, pose=pose: tuple(map(np.asarray, cost(q, pose)))
-                bounds = list(zip(low, high, strict=True))
-                found = minimize(both, q, jac=True, method="SLSQP", bounds=bounds, constraints={"type": "ineq"} | kept)
-                if clear(found.x)[0] >= margin - 1e-9:
-                    ends.append(np.sqrt(2.0 * found.fun))
-            assert distance <= min(ends) + 1e-4
+    for far, pose in zip(result.distance, targets, strict=True):
+        assert far <= least_clear(robot, scene, margin, pose, rng.uniform(-np.pi, np.pi, (12, 4))) + 1e-4
+
+
+def test_many_ways_lead_around_obstacles():
+    """An arm of six joints among balls over a floor, where the way from the nearest posture of all ends too early."""
+    robot, margin, rng = jaxik.load("ur5e"), 0.01, np.random.default_rng(5)
+    balls = [[0.5, 0.0, 0.4, 0.2], [-0.3, 0.4, 0.5, 0.2], [0.0, -0.5, 0.3, 0.15]]
+    scene = jaxik.make_scene(spheres=balls, boxes=[[0.0, 0.0, -0.15, 2.0, 2.0, 0.2]])
+    places = rng.uniform([-1.2, -1.2, -0.1], [1.2, 1.2, 1.2], (40, 3))
+    targets = jaxik.pose(places, wxyz=rng.normal(size=(40, 4)))[[1, 7]]
+    result = jaxik.solve_ik(robot, targets, scene=scene, margin=margin, nearest=True)
+    assert result.counts() == {"nearest": 2} and (result.clearance >= margin).all()
+    for far, pose in zip(result.distance, targets, strict=True):
+        assert far <= least_clear(robot, scene, margin, pose, rng.uniform(-np.pi, np.pi, (12, 6))) + 1e-4
 
 
 def half_square(robot, q, pose):
