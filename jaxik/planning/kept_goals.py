@@ -59,7 +59,7 @@ def kept_goals(
 
 
 def _spread(q: np.ndarray, count: int) -> np.ndarray:
-    """At most so many of configurations (g, n): the first ones, then each the farthest from those before it."""
+    """Picks at most so many of configurations (g, n): the first ones, then each the farthest from those before it."""
     chosen = list(range(min(len(q), count - count // 2)))
     while len(chosen) < min(len(q), count):
         apart = np.abs(q[:, None] - q[chosen]).max(axis=2).min(axis=1)
