@@ -134,8 +134,8 @@ class Tasks(NamedTuple):
 
     def rows(self, robot: Robot, frames: JointFrames, targets: list[Frame]) -> list[list[list[Scalar]]]:
         """The rows of each task's Jacobian, for its bound components."""
-        plain = all(task.plain for task in self.each)
-        given = zip(self.each, self.ends, targets, [None] * len(targets) if plain else self.frames(frames), strict=True)
+        steady = all(task.steady for task in self.each)
+        given = zip(self.each, self.ends, targets, [None] * len(targets) if steady else self.frames(frames), strict=True)
         return [task.rows(_columns(robot, frames, ends), target, tip) for task, ends, target, tip in given]
 
     def conditions(self, frames: JointFrames, targets: list[Frame]) -> tuple[list[Scalar], list[Scalar]]:
@@ -183,6 +183,21 @@ def tasks_of(who: str, robot: Robot, asked: Asked) -> tuple[Robot, Tasks]:
         tips = ", ".join(robot.tip_names)
         raise ValueError(f"{who}: a task with a target names no tip, and {robot.name} has {tips}; write tip= in it")
     return robot, tasks._replace(fixed=fixed) if fixed else tasks
+
+
+def check_given(who: str, task: Task, target: str, own_tip: bool = False) -> None:
+    """Raises `ValueError` for a task that is not met at a `target` that something else gives, a goal or a path: one that is
+    soft, or has a target itself; and, where the robot's own tip alone is meant, one that names a tip."""
+    if task.weight is not None:
+        mend = "leave weight= out, or write it as a cost"
+        raise ValueError(f"{who}: weight {task.weight:g} makes it soft, and here it is met; {mend}")
+    if task.target is not None:
+        raise ValueError(f"{who}: {target} is its target; leave out Task.at")
+    if own_tip and task.relative is not None:
+        raise ValueError(f"{who}: relative to '{shown(task.relative)}', and {target} is not; leave relative= out")
+    if own_tip and task.tip is not None:
+        mend = f"leave tip= out, and take robot.with_tips({shown(task.tip)!r})"
+        raise ValueError(f"{who}: tip '{shown(task.tip)}', and here the robot's own tip is meant; {mend}")
 
 
 def _tasks(who: str, robot: Robot, each: tuple[Task, ...], listed: bool) -> tuple[Robot, Tasks]:
