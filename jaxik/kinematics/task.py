@@ -15,8 +15,8 @@ what is allowed. A task that binds two rotations within a norm is a cone, one th
 
 The geometric Jacobian's rows serve as the derivatives. At the target that is exact; away from it the gradient of half the sum
 of squares is still exact for equations and cones, since a turn's angle grows by the angular velocity along the turn's own axis.
-Where a single rotation is bound, or some lie in regions by themselves, the rows are the exact ones; those of a function of one's
-own are JAX's.
+Where a single rotation is bound, or some lie in regions by themselves, the rows are the exact ones; those of a function of
+one's own are JAX's.
 """
 
 from __future__ import annotations
@@ -339,7 +339,7 @@ class Task:
 
     @property
     def _bent(self) -> bool:
-        """Whether a single rotation is bound, or some lie in regions by themselves, so that the plain rows are no derivatives."""
+        """Whether a single rotation is bound, or some lie in regions by themselves: the plain rows are no derivatives."""
         turned = [each for each in self.within if each.components[0] >= 3]
         cone = len(turned) == 1 and 1 < len(turned[0].components) == len(self.rotations)
         return len(self.rotations) == 1 or (bool(turned) and not cone)

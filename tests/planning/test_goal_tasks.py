@@ -7,6 +7,7 @@ from task_distance import distances
 
 import jaxik
 from jaxik import Task
+from jaxik.kinematics import branch_to
 from jaxik.motions import follow
 from jaxik.planning import optimise_trajectory
 from jaxik.reach import base_poses
@@ -36,7 +37,8 @@ def test_goals_and_vias_are_met_where_they_cost_least(task):
 
 def test_goals_of_other_links_and_relative_ones():
     two = jaxik.load("p6r_pair")
-    hands = [pinocchio(two.with_tips(tip)) for tip in two.tip_names]
+    arms = [pinocchio(branch_to(two, tip)) for tip in two.tip_names]  # seven joints each
+    hands = [lambda q: arms[0](q[:7]), lambda q: arms[1](q[7:])]
     start = np.clip(np.zeros(two.num_joints), *two.finite_limits)
     end = np.clip(start + 0.1, *two.finite_limits)
     seen = np.linalg.inv(hands[0](end)) @ hands[1](end)
