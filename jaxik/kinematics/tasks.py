@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.arrays import is_known
-from jaxik.checks.options import check_kind, shown
+from jaxik.checks.options import check_kind, no_such, shown
 from jaxik.kinematics.forward import JointFrames, jacobian_columns
 from jaxik.kinematics.reach_bound import Ends
 from jaxik.kinematics.relative import relative_columns
@@ -208,9 +208,12 @@ def _tasks(who: str, robot: Robot, each: tuple[Task, ...], listed: bool) -> tupl
         if any(task.tip is None for task in each) and len(robot.tips) > 1:
             mend = f"write tip={shown(next(iter(robot.tip_names), 'link'))!r} in each"
             raise ValueError(f"{who}: a task names no tip, and {robot.name} has {', '.join(robot.tip_names)}; {mend}")
+    known = tuple(dict.fromkeys((*robot.tip_names, *robot.link_names)))
     places: dict[Any, tuple[int, Any]] = {}  # what is compared, in its order: its row, and its frame in that row's
 
     def number(name: str | int) -> int:
+        if isinstance(name, str) and name not in known:
+            raise ValueError(no_such(f"{who}: task: {robot.name}", "tip or link", name, known))
         if isinstance(name, str) and name in robot.tip_names:
             name = robot.tip_names.index(name)
         if name not in places:
