@@ -41,8 +41,8 @@ def read_task(text: Any) -> Task:
     """The `Task` that one line of words says, such as "upright z within 10deg". Host.
 
     Its kind is that of a maker of `Task`; axis, radius and distance stand behind it, the rest by name: `free`, `within`,
-    `axes`, `height`, `tip`, `relative`, `weight`, and `at`, the target in x,y,z [m] or x,y,z,qw,qx,qy,qz. Lengths are in metres and
-    angles in radians, or as mm, cm, deg say. Raises `ValueError` for other words, with those that are allowed.
+    `axes`, `height`, `tip`, `relative`, `weight`, and `at`, the target in x,y,z [m] or x,y,z,qw,qx,qy,qz. Lengths are in
+    metres and angles in radians, or as mm, cm, deg say. Raises `ValueError` for other words, with those that are allowed.
     """
     words = text.split() if isinstance(text, str) else []
     if not words:
