@@ -213,7 +213,7 @@ def _tasks(who: str, robot: Robot, each: tuple[Task, ...], listed: bool) -> tupl
 
     def number(name: str | int) -> int:
         if isinstance(name, str) and name not in known:
-            raise ValueError(no_such(f"{who}: task: {robot.name}", "tip or link", name, known))
+            raise ValueError(no_such(f"{who}: task: {robot.name}", "link", name, known))
         if isinstance(name, str) and name in robot.tip_names:
             name = robot.tip_names.index(name)
         if name not in places:

@@ -44,12 +44,12 @@ class Motions(Options, who="study"):
 
 
 def usual_task(targets: Targets | Postures) -> Task:
-    """What targets bind unless a study says otherwise."""
+    """The task of targets unless a study says another."""
     return POSITION if targets.free_rotation else POSE
 
 
 def read_study_task(row: Table, targets: Targets | Postures) -> Task:
-    """What of the targets is bound, in words (`read_task`) or as a `Task`. Raises `LoadError` for what such targets do not
+    """The task of a study's targets, in words (`read_task`) or as a `Task`. Raises `LoadError` for what such targets do not
     give."""
     row.asked.add("task")
     if "task" not in row.content:

@@ -212,7 +212,7 @@ def test_a_closed_form_that_is_given_nothing_misses_nothing(tmp_path, monkeypatc
 
 
 def test_a_task_in_words(tmp_path):
-    """What is reached within a cone, by Pinocchio; the errors are those to the cone, and a place alone has none of turning."""
+    """Tools are within the cone by Pinocchio; errors are those to the cone, and a place alone has none of turning."""
     targets = {"kind": "grid", "x": [0.3, 0.9, 2], "y": [0.0, 0.4, 2], "z": [0.2, 0.8, 2], "directions": [[0, 0, -1]]}
     asked = {"robot": "ur5e", "targets": targets}
     cone = jaxik.sweep(asked | {"ik": {"task": "pointing z within 20deg"}}, tmp_path / "c.zarr")
