@@ -27,6 +27,7 @@ class Reason(IntEnum):
     NEAREST = 12  # a posture as near to the target as was found: what was asked for cannot be had
     TOO_FAST = 13  # a tool's path: a joint would have to be faster than it may
     OFF_TASK = 14  # a motion: its start or its goal does not do what is to be kept along it
+    CONTRADICTION = 15  # two tasks that nothing can meet together
 
     @property
     def text(self) -> str:

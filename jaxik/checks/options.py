@@ -62,7 +62,9 @@ def check_kind(who: str, name: str, value: Any, kind: type, optional: bool = Fal
         mend = f", e.g. jaxik.{reader}('{shown(value)}')" if reader else ""
         own = HOMES.get(kind.__name__, ".".join(kind.__module__.split(".")[:2]))
         package = "jaxik" if kind.__name__ in TOP else own
-        raise ValueError(f"{who}: {name} is {shown(value)}; write a {package}.{kind.__name__}{mend}")
+        listed = isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(each, kind) for each in value)
+        told, one = (f"a list of {len(value)}", "one") if listed else (shown(value), "a")
+        raise ValueError(f"{who}: {name} is {told}; write {one} {package}.{kind.__name__}{mend}")
 
 
 def check_seed(who: str, seed: Any) -> None:

@@ -19,6 +19,14 @@ CHECKED = "Links that are checked against each other in any case (forearm:hand),
 Checked = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[LINK:LINK|all]...", help=CHECKED)]
 
 
+TASK = 'such as "upright z within 10deg", "pose free yaw within x=5cm" or "position at 0.4,0,0.3"; m and rad unless said'
+
+
+def task_flag(words: str) -> Any:
+    """A flag of tasks in words (`kinematics.read_task`), given once or more; `words` say what they are for."""
+    return Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TASK", help=f"{words}, {TASK}.")]
+
+
 def flags(options: type[Options], words: dict[str, str] | None = None, **kinds: Any) -> Any:
     """A base of a command's arguments with those fields of `options` that `kinds` names, each of the type that it gives: a
     shell knows no objects. Where that is less than the field takes, `words` tell of it. `given` gathers them again."""

@@ -11,9 +11,11 @@ import numpy as np
 import tyro
 
 import jaxik
-from jaxik.cli.arguments import SearchArguments, flags, given
+from jaxik.cli.arguments import SearchArguments, flags, given, task_flag
 from jaxik.cli.results import check_writable, write_csv, writing
 from jaxik.cli.terminal import Unsolved, progress_bar
+from jaxik.kinematics.task import TURNS
+from jaxik.kinematics.task_text import read_tasks
 from jaxik.reach.mobile_base import BasePoses, base_poses
 from jaxik.reasons import texts
 
@@ -44,6 +46,7 @@ class BaseArguments(FLAGS, SearchArguments):
     """Keep clear of the scene and of the robot itself; --no-collision asks for kinematics alone."""
     free: tuple[Literal["x", "y", "z", "roll", "pitch", "yaw"], ...] = ()
     """Components that a target leaves free, of its own axes."""
+    task: task_flag("What a target binds, in the place of --free") = ()  # type: ignore[valid-type]
     out: Path = Path("bases.csv")
     """A line a base: x, y, heading, how many targets it sees, and why not more (.csv); or which, too (.npz)."""
     plot: Path | None = None
@@ -57,12 +60,12 @@ class BaseArguments(FLAGS, SearchArguments):
         robot = jaxik.load(self.robot, **self.loading())
         scene = None if self.scene is None else jaxik.load_scene(self.scene)
         targets = jaxik.load_targets(self.targets)
-        free = (*self.free, *(("roll", "pitch", "yaw") if targets.ndim == 2 else ()))  # a position says nothing of rotation
-        options = jaxik.IKOptions(
-            task=jaxik.Task.pose(free),
-            collision="constraint" if self.collision else False,
-            **{name: value for name, value in given(self, jaxik.IKOptions).items() if name != "collision"},
-        )
+        if self.task and self.free:
+            raise ValueError("--task says what --free does; write --task 'pose free yaw'")
+        free = (*self.free, *(TURNS if targets.ndim == 2 else ()))  # a position says nothing of rotation
+        task = read_tasks(self.task) if self.task else jaxik.Task.pose(free)
+        own = {"task": task, "collision": "constraint" if self.collision else False}
+        options = jaxik.IKOptions(**given(self, jaxik.IKOptions) | own)
         start, floor = time.perf_counter(), {"x": self.x, "y": self.y, "headings": self.headings}
         with progress_bar() as bar:
             line = bar.add_task("base", total=None)

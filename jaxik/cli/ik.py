@@ -6,7 +6,7 @@ import dataclasses
 import sys
 import time
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import jax
 import numpy as np
@@ -14,11 +14,13 @@ import tyro
 
 import jaxik
 from jaxik.checks.options import check_seed, optional
-from jaxik.cli.arguments import SearchArguments, flags, given
+from jaxik.cli.arguments import SearchArguments, flags, given, task_flag
 from jaxik.cli.results import UNITS, check_writable, offenders, write_csv, writing
 from jaxik.cli.terminal import STOPPED, Patience, progress_bar
 from jaxik.ik.problem import FAULTS
 from jaxik.ik.sqp_programs import solve_errors
+from jaxik.kinematics.task import TURNS
+from jaxik.kinematics.task_text import read_tasks
 from jaxik.kinematics.tasks import tasks_of
 from jaxik.reasons import Reason, texts
 from jaxik.spatial.rotations import frame
@@ -62,6 +64,7 @@ class IKArguments(FLAGS, SearchArguments):
     """Components that a target leaves free; of several tips those of each."""
     axes: Literal["tool", "base"] = "tool"
     """Along and about whose axes they are counted: the target's own ("tool"), or the base's."""
+    task: task_flag("What a target binds") = ()  # type: ignore[valid-type]
     out: Path = Path("ik.npz")
     """The results, joints in rad and m: .npz, .csv, or .parquet (needs pyarrow)."""
 
@@ -75,14 +78,13 @@ class IKArguments(FLAGS, SearchArguments):
         check_seed("solve_ik", self.seed)
         robot = jaxik.load(self.robot, **self.loading())
         scene = None if self.scene is None else jaxik.load_scene(self.scene)
-        targets = jaxik.load_targets(self.targets, tips=listed_tips(robot))
-        free = (
-            *self.free,
-            *(("roll", "pitch", "yaw") if targets.shape[-1] == 3 else ()),
-        )  # a position says nothing of rotation
-        chosen = given(self, jaxik.IKOptions)
+        task, tips = self._task(robot)
+        targets = jaxik.load_targets(self.targets, tips=tips)
+        if task is None:  # a position says nothing of rotation
+            task = jaxik.Task.pose((*self.free, *(TURNS if targets.shape[-1] == 3 else ())), axes=self.axes)
+        chosen = given(self, jaxik.IKOptions) | {"task": task}
         chosen["collision"] = "constraint" if self.collision else False
-        options = jaxik.IKOptions(task=jaxik.Task.pose(free, axes=self.axes), **chosen)
+        options = jaxik.IKOptions(**chosen)
         start, console = time.perf_counter(), Console(stderr=True)
         with progress_bar(console=console) as bar, Patience(console, "these targets") as asked:
             line = bar.add_task("ik", total=len(targets))
@@ -97,9 +99,21 @@ class IKArguments(FLAGS, SearchArguments):
             write_ik(robot, result, aside, _table(robot, result, targets[: len(result)], scene, options))
         self._print(result, targets, seconds, wrote)
 
+    def _task(self, robot: jaxik.Robot) -> tuple[Any, tuple[str, ...]]:
+        """The task or tasks in words, None without any, and the names of what has targets of its own in the file, () of one."""
+        if not self.task:
+            return None, listed_tips(robot)
+        if self.free or self.axes != "tool":
+            raise ValueError("--task says what --free and --axes do; write --task 'pose free yaw axes base'")
+        task = read_tasks(self.task)
+        tasks = tasks_of("ik", robot, task)[1]
+        if not tasks.given:
+            raise ValueError("--task: each has its target, and the file has some, too; leave 'at' out of one")
+        return task, tasks.given_names if len(tasks.shape) == 3 else ()
+
     def _print(self, result: jaxik.ik.IKResult, targets: np.ndarray, seconds: float, wrote: str) -> None:
         """A line a reason, and one of counts and times. Exits where not all are solved, or not all were tried."""
-        if targets.shape[-1] == 3:
+        if targets.shape[-1] == 3 and not self.task:
             print(f"position only: {self.targets} binds no rotation")
         counts = result.counts()
         for reason, count in counts.items():
@@ -166,8 +180,9 @@ def _table(
     errors: list[np.ndarray] = [result.position_error[target], result.rotation_error[target]]
     clearance = result.clearance[target]
     if not first.all():
-        poses = frame(targets) if targets.shape[-1] == 3 else targets
-        others = solve_errors(*tasks_of("ik", robot, options.task), q, poses[target])
+        tipped, tasks = tasks_of("ik", robot, options.task)
+        poses = tasks.whole_targets(frame(targets) if targets.shape[-1] == 3 else targets)
+        others = solve_errors(tipped, tasks.asked, q, poses[target])
         of_first = first.reshape(-1, *[1] * (errors[0].ndim - 1))
         errors = [np.where(of_first, best, each) for best, each in zip(errors, others, strict=True)]
         gap = jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)))

@@ -10,9 +10,10 @@ from typing import ClassVar
 import numpy as np
 
 import jaxik
-from jaxik.cli.arguments import SearchArguments, flags, given
+from jaxik.cli.arguments import SearchArguments, flags, given, task_flag
 from jaxik.cli.results import check_writable, tip_columns, write_csv, writing
 from jaxik.cli.terminal import Unsolved
+from jaxik.kinematics.task_text import read_tasks
 from jaxik.planning import PlanOptions, PlanResult
 from jaxik.planning.trajectory_files import ENDINGS
 from jaxik.reasons import Reason
@@ -42,6 +43,7 @@ class PlanArguments(FLAGS, SearchArguments):
     """The joints' values at the start [rad, m]."""
     goal: tuple[float, ...]
     """Those at the goal."""
+    along: task_flag("What is kept on the whole way, as it is at the start unless it has a target") = ()  # type: ignore[valid-type]
     without: tuple[str, ...] = ()
     """Objects of the scene that are no obstacle, such as the fruit that is grasped."""
     dt: float = 0.01
@@ -68,7 +70,8 @@ class PlanArguments(FLAGS, SearchArguments):
             if (count := len(getattr(self, name))) != robot.num_joints:
                 joints = f"{robot.num_joints}: {', '.join(robot.joint_names)}"
                 raise ValueError(f"--{name}: {count} numbers; {robot.name} has {joints}")
-        options = PlanOptions(**given(self, PlanOptions))
+        along = read_tasks(self.along) if self.along else None
+        options = PlanOptions(**given(self, PlanOptions) | {"along": along})
         began = time.perf_counter()
         moved = jaxik.plan_motion(robot, self.start, self.goal, scene=scene, seed=self.seed, options=options)
         seconds = time.perf_counter() - began

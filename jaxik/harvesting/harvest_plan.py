@@ -14,6 +14,7 @@ from jaxik.harvesting.arms import Arm, arms_of
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
+from jaxik.kinematics.tasks import check_given
 from jaxik.options import Options, anything, choice, count, instance, number
 from jaxik.planning.trajectory import Trajectory
 from jaxik.planning.trajectory_files import check_ending, joint_points, save_arrays, save_table
@@ -58,6 +59,7 @@ class HarvestPlanOptions(Options, who="plan_harvest"):
     rounds: int = count(default=20_000, words="as in `PlanOptions`, for each way")
 
     def check(self) -> None:
+        check_given(f"{self.who}: task", self.task, "the place")
         if isinstance(self.order, str):
             check_choices("plan_harvest", order=(self.order, Order))
         elif not isinstance(self.order, list | tuple):

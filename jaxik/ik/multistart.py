@@ -28,6 +28,7 @@ import numpy as np
 from jaxik.analytic.families import solver_of
 from jaxik.analytic.solutions import BRANCHES, closed_forms
 from jaxik.ik import refinement, seeds
+from jaxik.ik.contradictions import contradictions
 from jaxik.ik.enumeration import enumerable, enumerated
 from jaxik.ik.problem import Problem
 from jaxik.ik.refinement import OPEN, SOLVED, STEPS, Misses
@@ -92,7 +93,11 @@ def search(problem: Problem) -> Outcome:
 def searched_for(problem: Problem, valid: np.ndarray, stuck: Found | None = None) -> Outcome:
     """Finds answers for the `valid` targets (N,), by the problem's own scene throughout. `stuck` are postures that collide."""
     none, misses = nothing(problem), Misses(problem)
-    reason = np.where(valid, np.where((beyond_reach(problem) > 0.0).any(axis=1), Reason.OUT_OF_REACH, OPEN), Reason.INVALID)
+    reason = np.where((beyond_reach(problem) > 0.0).any(axis=1), Reason.OUT_OF_REACH, OPEN)
+    if problem.tasks.stacked:
+        clash = contradictions(problem.tasks, problem.poses, problem.tolerance)
+        reason = np.where(clash.found, Reason.CONTRADICTION, reason)
+    reason = np.where(valid, reason, Reason.INVALID)
     answers, blocked = [none], [none if stuck is None else stuck]
 
     def note(free: Found, hit: Found = none) -> None:

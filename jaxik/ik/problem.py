@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxik.analytic.families import closed_form_obstacle
 from jaxik.checks.arrays import RIGID, is_rigid, numbers
-from jaxik.checks.options import check_collision, check_finite, check_kind, check_seed, shown
+from jaxik.checks.options import check_collision, check_finite, check_kind, check_seed, no_such, shown
 from jaxik.collision.bvh import Grouped, at_margin, grouped, obstacles_in
 from jaxik.collision.clearances import has_geometry
 from jaxik.collision.scene import Scene
@@ -327,7 +327,7 @@ def _limits(robot: Robot, options: IKOptions) -> tuple[np.ndarray, np.ndarray]:
     low, high = np.array(robot.lower, np.float64), np.array(robot.upper, np.float64)
     for name, value in options.locked.items():
         if name not in robot.joint_names:
-            raise ValueError(f"locked: {robot.name} has no joint '{name}'; it has {', '.join(robot.joint_names)}")
+            raise ValueError(no_such(f"locked: {robot.name}", "joint", str(name), robot.joint_names))
         check_finite("locked", **{name: value})
         i = robot.joint_names.index(name)
         if not low[i] <= value <= high[i]:

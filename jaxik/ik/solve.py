@@ -28,6 +28,7 @@ from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.costs import Cost
 from jaxik.ik.branches import search
+from jaxik.ik.contradictions import contradictions
 from jaxik.ik.multistart import Outcome, beyond_reach
 from jaxik.ik.nearest import binding, check_nearest, distances, least_distances, nearest_words, proven, with_nearest
 from jaxik.ik.options import IKOptions
@@ -48,6 +49,7 @@ from jaxik.spmd import kernel
 
 TARGETS = 16_384  # solved together, which bounds the memory
 TOLD = 1_024  # solved together where progress is told
+HARDLY = 1e-6  # [m, rad], an error that is not told
 
 
 class Offenders(tuple[tuple[Contact, ...], ...]):
@@ -68,7 +70,8 @@ class IKResult(Result):
 
     With a list of tips, or of tasks, position_error and rotation_error have a last axis (k,) of theirs, and task is the number
     of the one that the reason is of, -1 where it is of all or of none. beyond is how far a target lies past what the reach
-    bound of its tip allows [m], 0 where it does not.
+    bound of its tip allows [m], 0 where it does not. Where task and `other` contradict each other, apart (2,) is how far what
+    they allow is apart at least [m, rad].
 
     With `nearest=True` the reason NEAREST says that q is the posture nearest to a target that has no answer; distance is how
     far it is [m], by `metres_per_radian`, and no posture is nearer than least_distance [m]; proven says whether the two are the
@@ -87,6 +90,8 @@ class IKResult(Result):
     fault: Int[np.ndarray, "*b"] | Any = 0
     task: Int[np.ndarray, "*b"] | Any = -1
     beyond: Float[np.ndarray, "*b"] | Any = 0.0
+    other: Int[np.ndarray, "*b"] | Any = -1
+    apart: Float[np.ndarray, "*b 2"] | Any = 0.0
     distance: Float[np.ndarray, "*b"] | Any = np.nan
     proven: Bool[np.ndarray, "*b"] | Any = False
     least_distance: Float[np.ndarray, "*b"] | Any = np.nan
@@ -99,6 +104,7 @@ class IKResult(Result):
         Reason.LIMITS: "free components by task=, or move the target or the base",
         Reason.COLLISION: "`offenders` names what is in the way; a free component or more max_seeds may lead around it",
         Reason.NOT_CONVERGED: "raise max_seeds",
+        Reason.CONTRADICTION: "widen one of them, move its target, or give one a weight",
     }
 
     @property
@@ -107,12 +113,38 @@ class IKResult(Result):
         fault, words = np.asarray(self.fault, int), super().why
         if fault.any():
             words = np.where(fault > 0, np.array([f"{Reason.INVALID}: {text}" for text in FAULTS])[fault], words)
-        words = self._with_nearest(words)
+        words = self._with_misses(self._with_nearest(words))
         if self.tasks and (np.asarray(self.task) >= 0).any():
-            each = zip(np.ravel(words), np.ravel(self.task), np.ravel(self.beyond), strict=True)
-            told = [f"{self.tasks[task]}{_past(beyond)}: {text}" if task >= 0 else text for text, task, beyond in each]
-            words = np.array(told, str).reshape(np.shape(self.task))
+            each = zip(np.ravel(words), map(self._blamed, range(len(self))), strict=True)
+            words = np.array([f"{blamed}: {text}" if blamed else text for text, blamed in each], str)
+            words = words.reshape(np.shape(self.task))
         return words if np.ndim(words) else str(words)
+
+    def _blamed(self, row: int) -> str:
+        """The task that the reason of a row is of, or the two, and how far they are off; "" where it is of all or of none."""
+        task, other = (int(np.ravel(x)[row]) for x in (self.task, self.other))
+        if task < 0:
+            return ""
+        if other < 0:
+            beyond = float(np.ravel(self.beyond)[row])
+            return f"{self.tasks[task]}{f', {beyond:.3g} m past its reach bound' if beyond > 0.0 else ''}"
+        apart = _off(*np.reshape(self.apart, (-1, 2))[row])
+        return f"{self.tasks[task]} and {self.tasks[other]}, {apart} apart at least"
+
+    def _with_misses(self, words: Any) -> Any:
+        """The words, where the reason is NOT_CONVERGED how far the nearest posture that was found is off, by each task."""
+        rows = np.flatnonzero(np.ravel(self.reason) == Reason.NOT_CONVERGED)
+        if not len(rows):
+            return words
+        told, names = np.ravel(words).astype(object), self.tasks or ("",)
+        errors = [np.reshape(x, (len(told), -1)) for x in (self.position_error, self.rotation_error)]
+        for row in rows:
+            each = [(name, _off(*both)) for name, *both in zip(names, *(x[row] for x in errors), strict=True)]
+            if np.isfinite([x[row] for x in errors]).all() and any(off for _, off in each):
+                misses = ", ".join(f"{name} off by {off}".strip() if off else f"{name} met" for name, off in each)
+                first, *mend = str(told[row]).split("; ", 1)
+                told[row] = "; ".join([first, f"the nearest found: {misses}", *mend])
+        return told.astype(str).reshape(np.shape(self.reason))
 
     def _with_nearest(self, words: Any) -> Any:
         """The words, where the reason is NEAREST how far the posture is, and what binds."""
@@ -191,7 +223,7 @@ def solve_ik(
 
     Reasons: SOLVED; OUT_OF_REACH, proven by the robot's reach bound or its closed form; LIMITS, found only beyond them, which
     is a proof where the closed form knows all answers; COLLISION, found, but every one collides; NOT_CONVERGED; INVALID, the
-    target is no pose (`why` says what is wrong with it); NEAREST.
+    target is no pose (`why` says what is wrong with it); NEAREST; CONTRADICTION, proven: no pose meets two of the tasks.
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Warns of targets that look like millimetres, of what is
     in collision in every configuration, and of meshes that were not read.
@@ -220,8 +252,10 @@ def solve_ik(
     return result[0] if given.single else result
 
 
-def _past(beyond: float) -> str:
-    return f", {beyond:.3g} m past its reach bound" if beyond > 0.0 else ""
+def _off(away: float, turned: float) -> str:
+    """Two errors [m], [rad] in words, what is hardly any left out."""
+    parts = [f"{away:.3g} m"] * bool(away > HARDLY), [f"{np.degrees(turned):.3g} deg"] * bool(turned > HARDLY)
+    return " and ".join([*parts[0], *parts[1]])
 
 
 def _around(robot: Robot, scene: Scene | None, options: IKOptions) -> tuple[Scene | None, str]:
@@ -361,7 +395,11 @@ def _of_tasks(problem: Problem, outcome: Outcome) -> dict[str, np.ndarray]:
         past = beyond_reach(problem.rows(np.flatnonzero(out)))
         beyond[out] = np.maximum(past.max(axis=1), 0.0)
         task[out] = np.where(beyond[out] > 0.0, past.argmax(axis=1), task[out])
-    return {"task": np.where(reason == Reason.INVALID, problem.faulty, task), "beyond": beyond}
+    found = {"beyond": beyond, "other": np.full(count, -1), "apart": np.zeros((count, 2))}
+    if (rows := np.flatnonzero(reason == Reason.CONTRADICTION)).size:
+        clash = contradictions(problem.tasks, problem.poses[rows], problem.tolerance[rows])
+        task[rows], found["other"][rows], found["apart"][rows] = clash
+    return found | {"task": np.where(reason == Reason.INVALID, problem.faulty, task)}
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from jaxik.kinematics.relative import relative_jacobian, relative_pose
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.shapes import Box, ConvexPart, Surface, Unchecked, Volume
 from jaxik.kinematics.task import Task
+from jaxik.kinematics.task_text import read_task
 from jaxik.kinematics.tree import Mimic, Tree
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "jacobian",
     "link_frames",
     "manipulability",
+    "read_task",
     "relative_jacobian",
     "relative_pose",
     "smooth",

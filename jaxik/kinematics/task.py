@@ -15,7 +15,8 @@ what is allowed. A task that binds two rotations within a norm is a cone, one th
 
 The geometric Jacobian's rows serve as the derivatives. At the target that is exact; away from it the gradient of half the sum
 of squares is still exact for equations and cones, since a turn's angle grows by the angular velocity along the turn's own axis.
-Where single rotations lie in regions the rows are the exact ones; those of a function of one's own are JAX's.
+Where a single rotation is bound, or some lie in regions by themselves, the rows are the exact ones; those of a function of
+one's own are JAX's.
 """
 
 from __future__ import annotations
@@ -274,6 +275,11 @@ class Task:
         return not (self.within or self.looks or self.function)
 
     @property
+    def steady(self) -> bool:
+        """Whether its rows are the same wherever the tip is."""
+        return self.plain and not self._bent
+
+    @property
     def words(self) -> str:
         """The name by which it is told from others of the same tip."""
         if self.function is not None:
@@ -333,9 +339,10 @@ class Task:
 
     @property
     def _bent(self) -> bool:
-        """Whether single rotations lie in regions, so that the plain rows are no derivatives."""
+        """Whether a single rotation is bound, or some lie in regions by themselves: the plain rows are no derivatives."""
         turned = [each for each in self.within if each.components[0] >= 3]
-        return bool(turned) and not (len(turned) == 1 and 1 < len(turned[0].components) == len(self.rotations))
+        cone = len(turned) == 1 and 1 < len(turned[0].components) == len(self.rotations)
+        return len(self.rotations) == 1 or (bool(turned) and not cone)
 
     @property
     def turn_known(self) -> bool:
@@ -396,7 +403,7 @@ class Task:
 
     def rows(self, columns: list[tuple[Scalar, ...]], target: Frame, tip: Frame | None = None) -> Rows:
         """The rows of the geometric Jacobian (its columns in base axes) for the components of `residual`. Raises `ValueError`
-        without the `tip` for a task that is not `plain`: where components are outside of their regions depends on it."""
+        without the `tip` for a task that is not `steady`."""
         return self._outer(self.slopes(columns, target, tip), tip, target)
 
     def _outer(self, rows: Rows, tip: Frame | None, target: Frame) -> Rows:
@@ -481,7 +488,7 @@ class Task:
 
     def _known(self, tip: Frame | None) -> Frame:
         if tip is None:
-            raise ValueError("task: the rows of regions, of looking and of a function of one's own depend on where the tip is")
+            raise ValueError("task: rows of regions, single rotations, looking and one's own depend on where the tip is")
         return tip
 
     def _looking(

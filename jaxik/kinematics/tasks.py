@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.arrays import is_known
-from jaxik.checks.options import check_kind, shown
+from jaxik.checks.options import check_kind, no_such, shown
 from jaxik.kinematics.forward import JointFrames, jacobian_columns
 from jaxik.kinematics.reach_bound import Ends
 from jaxik.kinematics.relative import relative_columns
@@ -134,8 +134,8 @@ class Tasks(NamedTuple):
 
     def rows(self, robot: Robot, frames: JointFrames, targets: list[Frame]) -> list[list[list[Scalar]]]:
         """The rows of each task's Jacobian, for its bound components."""
-        plain = all(task.plain for task in self.each)
-        given = zip(self.each, self.ends, targets, [None] * len(targets) if plain else self.frames(frames), strict=True)
+        steady = all(task.steady for task in self.each)
+        given = zip(self.each, self.ends, targets, [None] * len(targets) if steady else self.frames(frames), strict=True)
         return [task.rows(_columns(robot, frames, ends), target, tip) for task, ends, target, tip in given]
 
     def conditions(self, frames: JointFrames, targets: list[Frame]) -> tuple[list[Scalar], list[Scalar]]:
@@ -185,6 +185,21 @@ def tasks_of(who: str, robot: Robot, asked: Asked) -> tuple[Robot, Tasks]:
     return robot, tasks._replace(fixed=fixed) if fixed else tasks
 
 
+def check_given(who: str, task: Task, target: str, own_tip: bool = False) -> None:
+    """Raises `ValueError` for a task that is not met at a `target` that something else gives, a goal or a path: one that is
+    soft, or has a target itself; and, where the robot's own tip alone is meant, one that names a tip."""
+    if task.weight is not None:
+        mend = "leave weight= out, or write it as a cost"
+        raise ValueError(f"{who}: weight {task.weight:g} makes it soft, and here it is met; {mend}")
+    if task.target is not None:
+        raise ValueError(f"{who}: {target} is its target; leave out Task.at")
+    if own_tip and task.relative is not None:
+        raise ValueError(f"{who}: relative to '{shown(task.relative)}', and {target} is not; leave relative= out")
+    if own_tip and task.tip is not None:
+        mend = f"leave tip= out, and take robot.with_tips({shown(task.tip)!r})"
+        raise ValueError(f"{who}: tip '{shown(task.tip)}', and here the robot's own tip is meant; {mend}")
+
+
 def _tasks(who: str, robot: Robot, each: tuple[Task, ...], listed: bool) -> tuple[Robot, Tasks]:
     if not listed and each[0].tip is None and np.ndim(robot.joint_T_tip) == 3:
         each, own, listed = each * len(robot.tips), list(range(len(robot.tips))), True
@@ -193,9 +208,12 @@ def _tasks(who: str, robot: Robot, each: tuple[Task, ...], listed: bool) -> tupl
         if any(task.tip is None for task in each) and len(robot.tips) > 1:
             mend = f"write tip={shown(next(iter(robot.tip_names), 'link'))!r} in each"
             raise ValueError(f"{who}: a task names no tip, and {robot.name} has {', '.join(robot.tip_names)}; {mend}")
+    known = tuple(dict.fromkeys((*robot.tip_names, *robot.link_names)))
     places: dict[Any, tuple[int, Any]] = {}  # what is compared, in its order: its row, and its frame in that row's
 
     def number(name: str | int) -> int:
+        if isinstance(name, str) and name not in known:
+            raise ValueError(no_such(f"{who}: task: {robot.name}", "link", name, known))
         if isinstance(name, str) and name in robot.tip_names:
             name = robot.tip_names.index(name)
         if name not in places:

@@ -38,6 +38,7 @@ from jaxik.costs import Cost
 from jaxik.kinematics.forward import bias_acceleration, jacobian_columns, joint_frames
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSE, Task
+from jaxik.kinematics.tasks import check_given
 from jaxik.motions.path import TipMotion
 from jaxik.optimise.linear import damped_solve
 from jaxik.options import Options, instance, number, per_joint
@@ -59,14 +60,6 @@ def settles(gain: float | None, dt: float) -> bool:
     return 0.0 <= loop_gain(gain, dt) * dt < 2.0
 
 
-def check_task(who: str, task: Task) -> None:
-    """Raises `ValueError` for a task that a loop cannot hold: one that is soft, or has its own target, which is the path's."""
-    if task.weight is not None:
-        raise ValueError(f"{who}: weight {task.weight:g}: a loop holds its task; leave the weight out, or write it as a cost")
-    if task.target is not None:
-        raise ValueError(f"{who}: the path is the task's target; leave out Task.at")
-
-
 class LoopOptions(Options):
     """The options of all that hold the tip on its path, sample by sample of `dt` [s]."""
 
@@ -82,7 +75,7 @@ class LoopOptions(Options):
 
     def check(self) -> None:
         """Raises `ValueError` for a loop that does not settle."""
-        check_task(f"{self.who}: task", self.task)
+        check_given(f"{self.who}: task", self.task, "the path", own_tip=True)
         dt = self.dt  # type: ignore[attr-defined]  # each subclass has its own
         if not settles(self.gain, dt):
             raise ValueError(f"{self.who}: dt {dt}, gain {self.gain}; allowed: 0 <= gain dt < 2")
@@ -183,7 +176,7 @@ class TaskAt:
     (n,). Traced."""
 
     def __init__(self, robot: Robot, q: Any, motion: TipMotion, task: Task, weights: Any = None, floor: float = FLOOR):
-        check_task("task", task)
+        check_given("task", task, "the path", own_tip=True)
         self.q = q = as_configuration(robot, q)
         self.robot, self.task, self.dtype, self.motion, self.floor = robot, task, q.dtype, motion, floor
         self.inverse = inverse_weights(robot, weights, q.dtype)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from jaxik.kinematics.task import POSE, Task
+from jaxik.kinematics.tasks import check_given
 from jaxik.options import Options, choice, count, flag, instance, names, number, pair, per_joint
 
 
@@ -82,3 +83,6 @@ class PlanOptions(LimitOptions, who="plan_motion"):
     places: int = count(
         default=128, words="number of places at which the speed is chosen (`time_path`), twice as many within a jerk limit"
     )
+
+    def check(self) -> None:
+        check_given(f"{self.who}: task", self.task, "the goal")

@@ -346,7 +346,7 @@ def _goals(
             goals = check_standing("plan_motion", robot, space.moves, starts, goals)
         return Answers(np.zeros(len(starts), int), goals, np.full_like(starts, np.nan))
     bound = options.postures, limits, seed, options.task, options.margin, bounds
-    tip = one_tip("plan_motion", tip_that_moves(robot, options.moving), options.task)
+    tip = one_tip("plan_motion", tip_that_moves(robot, options.moving), options.task, "moving= or task=")
     if space.moves is not None:
         found = standing_postures(tip, scene, space.moves, starts, asked.poses, *bound)
     else:

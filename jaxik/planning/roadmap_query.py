@@ -11,6 +11,7 @@ import numpy as np
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
+from jaxik.kinematics.tasks import check_given
 from jaxik.options import count, instance
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.limits import AnyLimits, Limits, limit_of, motion_limits
@@ -33,6 +34,9 @@ class QueryOptions(LimitOptions, who="Roadmap"):
     task: Task = instance(default=POSE, kind=Task, words="what a pose as the goal binds")
     postures: int = count(default=8, words="different postures of a pose among which to choose, the soonest ones")
     places: int = count(default=128, words="number of places at which the speed is chosen (`time_path`)")
+
+    def check(self) -> None:
+        check_given(f"{self.who}: task", self.task, "the goal")
 
 
 class Queries:

@@ -49,13 +49,13 @@ def tip_that_moves(robot: Robot, names: Sequence[str]) -> Robot:
     return robot.with_tips(links[0]) if len(links) == 1 else robot
 
 
-def one_tip(who: str, robot: Robot, task: Task) -> Robot:
+def one_tip(who: str, robot: Robot, task: Task, also: str = "") -> Robot:
     """The robot with the tip that a pose is the goal of: the one that the task names, or its only one. Raises `ValueError` for
     several."""
     if task.tip is not None:
         return robot
     if len(robot.tips) > 1:
-        mend = "name the one that goes there, moving= or task=Task.pose(tip=), or plan to solve_ik(robot, poses).q of all"
+        mend = f"name the one that goes there, {also}Task.pose(tip=), or go to solve_ik(robot, poses).q of all"
         raise ValueError(f"{who}: a goal is a pose, and {robot.name} has the tips {', '.join(robot.tip_names)}; {mend}")
     return dataclasses.replace(robot, joint_T_tip=robot.tip_frames[0])
 

@@ -29,17 +29,19 @@ from jaxik.costs import collision_cost
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
+from jaxik.kinematics.tasks import tasks_of
 from jaxik.optimise import splines
 from jaxik.planning.motion_ends import ends, turned
 from jaxik.planning.plan_result import HELP
 from jaxik.planning.planned_ways import soonest
+from jaxik.planning.standing import one_tip
 from jaxik.planning.trajectory import JointPath, Trajectory, along_pieces
 from jaxik.planning.trajectory_judge import finer
 from jaxik.planning.trajectory_search import Search, Solved
 from jaxik.planning.trajectory_terms import Target, TrajectoryOptions, at_knot, told_apart
 from jaxik.reasons import Reason
 from jaxik.results import Result, by_row
-from jaxik.spatial.algebra import Frame, stack, traced
+from jaxik.spatial.algebra import stack, traced
 from jaxik.spmd import kernel
 
 
@@ -92,8 +94,9 @@ def optimise_trajectory(
     are configurations in equal times, from which to begin; without one, the fastest motion begins as the planner's, than which
     it is no slower, and for one of least cost straight lines to several postures are compared. A joint without limits takes the
     shorter turn to the goal, or that of the guess. `via` are pairs of a share of the duration, of which the nearest end of one
-    of the `spans` is meant, and a pose that the tip has there. `seed` decides among postures and in the planner. `progress` is
-    called with the motions that are solved or refused, and the number of all. `changes` are fields of `TrajectoryOptions`.
+    of the `spans` is meant, and a pose that the tip has there; `task` and `via_task` say what poses bind, of which
+    link, and relative to what. `seed` decides among postures and in the planner. `progress` is called with the motions that are
+    solved or refused, and the number of all. `changes` are fields of `TrajectoryOptions`.
 
     Reasons: SOLVED, proven free between samples too, unless obstacles only cost, or are not looked at; INVALID, NaN; LIMITS, of
     the start or the goal, where their joints' range or a `torque` that does not hold the arm there is meant, or of velocities,
@@ -118,6 +121,8 @@ def optimise_trajectory(
     begin = _guess(robot, guess, len(asked.starts))
     if asked.poses is None:
         asked = asked._replace(goals=turned(robot, asked.starts if begin is None else begin[:, -1], asked.goals))
+    for task in [options.task] * (asked.poses is not None) + [options.via_task] * bool(via):
+        one_tip("optimise_trajectory", robot, task)
     search = Search(robot, scene, asked, _targets(via, len(asked.starts), options), seed, options, progress)
     found = _packed(search, search.run(begin))
     return found[0] if asked.single else found
@@ -274,5 +279,7 @@ def _collision_cost(robot: Robot, scene: Scene | None, q: Any, options: Trajecto
 
 
 def _missed(robot: Robot, task: Task, pose: Any, q: Any) -> Any:
-    position, rotation = task.residual(joint_frames(robot, traced(q), dtype=q.dtype).tip, Frame.of_columns(jnp.asarray(pose)))
+    tipped, tasks = tasks_of("trajectory_cost", robot, task)
+    frames = joint_frames(tipped, traced(q), dtype=q.dtype)
+    ((position, rotation),) = tasks.residuals(frames, tasks.targets(jnp.asarray(pose)))
     return stack(position + rotation, (len(position) + len(rotation),), q.dtype)

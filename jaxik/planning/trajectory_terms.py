@@ -16,16 +16,17 @@ from jaxik.checks.options import check_collision, shown
 from jaxik.collision.continuous_collision import joint_reaches
 from jaxik.collision.scene import Scene
 from jaxik.dynamics.recursions import GRAVITY, inverse_dynamics, mass_matrix
-from jaxik.kinematics.forward import jacobian_columns, joint_frames
+from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, POSITION, Task
+from jaxik.kinematics.tasks import check_given, tasks_of
 from jaxik.optimise import programme, splines
 from jaxik.optimise.programme import FAR, Rows
 from jaxik.options import Options, anything, choice, count, flag, instance, number, per_joint
 from jaxik.planning.limits import BRISK, Drives, drives, limit_of, usual
 from jaxik.planning.link_distances import around, link_distances
 from jaxik.planning.planner import PlanOptions
-from jaxik.spatial.algebra import Frame, stack, traced
+from jaxik.spatial.algebra import stack, traced
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
@@ -121,6 +122,8 @@ class TrajectoryOptions(Options, who="optimise_trajectory"):
         if self.degree == 2 and not (self.torque is None and self.power is None):
             raise ValueError(f"{who}: degree 2 has no acceleration at knots, nor torque there; write degree=3")
         check_collision(who, self.collision, margin=self.margin, other="collision_weight" if self.collision_weight else "")
+        check_given(f"{who}: task", self.task, "the goal")
+        check_given(f"{who}: via_task", self.via_task, "a pose of via")
 
     @property
     def kept_margin(self) -> float | None:
@@ -368,12 +371,12 @@ class Terms:
 @host_kernels(3)
 def _reached(robot: Robot, task: Task, q: Any, pose: Any, multipliers: Any) -> Any:
     """The task's residual (m,), its slopes (m, n), and the second derivative of their sum by the multipliers (n, n)."""
+    tipped, tasks = tasks_of("optimise_trajectory", robot, task)
 
     def pull(q: Any) -> Any:
-        x, target = traced(q), Frame.of_columns(pose)
-        frames = joint_frames(robot, x, dtype=q.dtype)
-        position, rotation = task.residual(frames.tip, target)
-        rows = task.rows(jacobian_columns(robot, frames), target, frames.tip)
+        x, targets = traced(q), tasks.targets(pose)
+        frames = joint_frames(tipped, x, dtype=q.dtype)
+        ((position, rotation),), (rows,) = tasks.residuals(frames, targets), tasks.rows(tipped, frames, targets)
         slopes = stack([entry for row in rows for entry in row], (len(rows), len(x)), q.dtype)
         return multipliers @ slopes, (stack(position + rotation, (len(rows),), q.dtype), slopes)
 

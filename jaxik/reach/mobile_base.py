@@ -29,6 +29,8 @@ from jaxik.ik.solve import solve_ik
 from jaxik.kinematics.holding import hold_joints
 from jaxik.kinematics.reach_bound import reach_bound
 from jaxik.kinematics.robot import Robot, solid_links
+from jaxik.kinematics.task import Task
+from jaxik.kinematics.tasks import check_given
 from jaxik.pytree import static
 from jaxik.reach.floor import Floor, base_frames
 from jaxik.reasons import Reason
@@ -150,7 +152,7 @@ def base_poses(
     """
     check_kind("base_poses", "robot", robot, Robot)
     robot.only_tip("base_poses")
-    options, robot = IKOptions.chosen(options, changes), _standing(robot)
+    options, robot = _of_one_tip(IKOptions.chosen(options, changes), _standing(robot))
     check_answers_only("base_poses", options)
     looked = is_looked_at("base_poses", robot, scene, options.collision is not False)
     for name, most in (("position_tolerance", 0), ("rotation_tolerance", 0), ("reference", 1)):
@@ -176,6 +178,15 @@ def base_poses(
     return BasePoses(base, reasons, proven, np.asarray(NEAREST, np.int8)[nearest], floor)
 
 
+def _of_one_tip(options: IKOptions, robot: Robot) -> tuple[IKOptions, Robot]:
+    """The options with a task that names no tip, and the robot whose tip is the one that it named. Raises `ValueError` for a
+    list of tasks, and for one of another target than a pose in the world, which must be met."""
+    check_kind("base_poses", "task", options.task, Task)
+    tip, task = options.task.tip, dataclasses.replace(options.task, tip=None)
+    check_given("base_poses: task", task, "a pose in the world", own_tip=True)
+    return options.changed({"task": task}), robot if tip is None else robot.with_tips(tip)
+
+
 def _standing(robot: Robot) -> Robot:
     """The robot without the joints of a planar base, which are held at 0."""
     return hold_joints(robot, dict.fromkeys(PLANAR, 0.0)) if robot.joint_names[:3] == PLANAR else robot
@@ -184,7 +195,7 @@ def _standing(robot: Robot) -> Robot:
 def _proven(robot: Robot, floor: Floor, base: np.ndarray, given: Poses, options: IKOptions) -> np.ndarray:
     """Whether (B, N) no base in each cell reaches each target within the tolerances."""
     task, here = options.task, np.eye(4)[None]
-    within = float(task.span(here, here)[1][0]) if task.positions and task.weight is None else np.inf
+    within = float(task.span(here, here)[1][0]) if task.positions else np.inf
     if not np.isfinite(within):
         return np.zeros((len(base), len(given.poses)), bool)
     rotation = task.turn_known

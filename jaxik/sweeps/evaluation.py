@@ -37,6 +37,7 @@ from jaxik.sweeps.study import Study
 
 WORTH = ("q", "position_error", "rotation_error", "manipulability", "limit_margin")  # columns of a posture
 PORTION = 6000  # targets at a time whose colliding candidates stand in memory
+ERRORS = ("position_error", "rotation_error")
 NEAR = 2  # postures of a target that collides on the grid beside which a clear one is looked for
 
 
@@ -309,18 +310,20 @@ def _most(owner: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
 def _search(study: Study, robot: Robot, poses: np.ndarray, valid: np.ndarray, around: _Around | None) -> Columns:
     """The answers of `solve_ik`."""
     asked, every = np.where(valid[:, None, None], poses, np.nan), np.arange(len(poses))
-    columns = _no_answer(robot, len(poses))
+    columns, task = _no_answer(robot, len(poses)), study.ik.task
+    bound = bool(task.positions), bool(task.rotations)
     for scene, some in [(None, slice(None))] if around is None else around.groups(every):
         rows = every[some]
-        found: IKResult = solved(robot, Poses.of(asked[rows], study.ik.task), scene, study.seed, study.ik)
+        found: IKResult = solved(robot, Poses.of(asked[rows], task), scene, study.seed, study.ik)
         at = rows[found.success]
         worth = in_blocks(_worth(robot), found.q[found.success], asked[at], double=True) if len(at) else []
         for name, values in zip(WORTH, worth, strict=False):
             columns[name][at] = values
+        if not task.whole:  # of a component that is free there is no error
+            for name, own, binds in zip(ERRORS, (found.position_error, found.rotation_error), bound, strict=True):
+                columns[name][at] = own[found.success] if binds else np.nan
         columns["clearance"][at] = found.clearance[found.success]
         columns["solutions"][rows] = found.num_solutions
         columns["reason"][rows], columns["reachable"][rows] = found.reason, found.success
         columns["proven"][rows] = np.isin(found.reason, (Reason.SOLVED, Reason.OUT_OF_REACH, Reason.INVALID))
-    if not study.ik.task.whole:  # a component that the target leaves free has no error
-        columns["rotation_error"][:] = np.nan
     return columns

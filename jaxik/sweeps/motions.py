@@ -11,12 +11,15 @@ import numpy as np
 from jaxik.collision.scene import Scene
 from jaxik.files.robot_toml import Table
 from jaxik.kinematics.robot import Robot
-from jaxik.kinematics.task import Task
+from jaxik.kinematics.task import POSE, POSITION, Task
+from jaxik.kinematics.task_text import read_tasks
+from jaxik.kinematics.tasks import check_given
 from jaxik.options import Options, anything, count, instance
 from jaxik.planning.limits import limit_of, motion_limits
 from jaxik.planning.planner import PlanOptions
 from jaxik.sweeps.postures import Postures
 from jaxik.sweeps.robot_variants import Variant
+from jaxik.sweeps.study_robots import made
 from jaxik.sweeps.targets import Targets
 
 Axes = tuple[tuple[str, tuple[Any, ...]], ...]
@@ -36,10 +39,42 @@ class Motions(Options, who="study"):
         """All that the motions depend on, as JSON holds it."""
         kept = {name: getattr(self, name) for name in ("waypoints", "samples")}
         plan = {name: getattr(self.plan, name) for name in (*COUNTS, *PER_JOINT, "winding")}
-        return {"starts": {name: list(q) for name, q in self.starts}} | kept | plan
+        along = {} if self.plan.along is None else {"along": repr(self.plan.along)}
+        return {"starts": {name: list(q) for name, q in self.starts}} | kept | plan | along
 
 
-def read_motions(table: Table, robots: list[Robot], targets: Targets, task: Task, margin: float) -> Motions:
+def usual_task(targets: Targets | Postures) -> Task:
+    """The task of targets unless a study says another."""
+    return POSITION if targets.free_rotation else POSE
+
+
+def read_study_task(row: Table, targets: Targets | Postures) -> Task:
+    """The task of a study's targets, in words (`read_task`) or as a `Task`. Raises `LoadError` for what such targets do not
+    give."""
+    row.asked.add("task")
+    if "task" not in row.content:
+        return usual_task(targets)
+    found = _tasks(row, "task")
+    if not isinstance(found, Task):
+        raise row.fail(f"{len(found)} tasks", "a target is one pose; write one task")
+    if isinstance(targets, Postures):
+        raise row.fail("task says what a pose binds, and the targets are postures", "leave it out")
+    if found.function is not None:
+        raise row.fail("task is a function, by which a store does not know what it holds", "write one in words")
+    if targets.free_rotation and found.turned:
+        raise row.fail("task asks how targets are turned, and these are positions", "give directions, or poses")
+    made(row, "change it", check_given, "task", found, "a target", True)
+    return found
+
+
+def _tasks(row: Table, key: str) -> Any:
+    """A task or tasks of one key: in words, or as they are."""
+    given = row.content[key]
+    each = given if isinstance(given, list | tuple) else [given]
+    return made(row, "change it", read_tasks, each) if each else None
+
+
+def read_motions(table: Table, robots: list[Robot], targets: Targets, margin: float) -> Motions:
     """The motions of a study's table. Raises `LoadError` for what cannot be meant."""
     row = table.table("motions")
     for key in sorted({*SEARCHED} & set(table.content)):
@@ -56,7 +91,10 @@ def read_motions(table: Table, robots: list[Robot], targets: Targets, task: Task
     kept = {name: row.count(name, getattr(Motions, name), least=0) for name in ("waypoints", "samples")}
     if kept["waypoints"] == 1 or kept["samples"] == 1:
         raise row.fail("one point is no motion", "write 2 or more, or 0 for none")
-    plan = _checked(row, robots, task=task, margin=margin, **counts, **_limits(row))
+    task = read_study_task(row, targets)
+    row.asked.add("along")
+    along = _tasks(row, "along") if "along" in row.content else None
+    plan = _checked(row, robots, task=task, along=along, margin=margin, **counts, **_limits(row))
     return Motions(starts=starts, plan=plan, **kept)
 
 

@@ -27,13 +27,12 @@ from jaxik.files.targets import read_targets
 from jaxik.ik.options import IKOptions, check_answers_only
 from jaxik.kinematics.reach_bound import millimetres
 from jaxik.kinematics.robot import Robot
-from jaxik.kinematics.task import Task
 from jaxik.options import anything, count, fields, flag, instance
 from jaxik.reach.grasp import Grasp
 from jaxik.reach.scoring import PostureOptions
 from jaxik.spatial.rotations import frame, from_rpy
 from jaxik.sweeps import targets as sources
-from jaxik.sweeps.motions import Motions, among_scenes, from_starts, read_around, read_motions
+from jaxik.sweeps.motions import Motions, among_scenes, from_starts, read_around, read_motions, read_study_task, usual_task
 from jaxik.sweeps.postures import KINDS as POSTURES
 from jaxik.sweeps.postures import read_postures
 from jaxik.sweeps.robot_variants import Variant, all_variants, read_shapes, variant_name
@@ -139,6 +138,7 @@ class Study(PostureOptions, who="study"):
             **({"around": {name: _digest(scene) for name, scene in self.around}} if self.around else {}),
             **{name: getattr(self, name) for name in OWN},
             "ik": {name: getattr(self.ik, name) for name in (*IK_KEYS, *TOLERANCES)},
+            **({} if self.ik.task == usual_task(self.targets) else {"task": repr(self.ik.task)}),
             **({"held": self.held} if self.held else {}),
             **({} if self.motions is None else {"motions": self.motions.describe()}),
             "versions": {"jaxik": __version__, "jax": jax.__version__, "numpy": np.__version__},
@@ -148,7 +148,7 @@ class Study(PostureOptions, who="study"):
         """How a robot's targets are answered: "closed form", "search" or "motion"."""
         if self.motions is not None:
             return "motion"
-        return "search" if scan_obstacle(robot) or self.targets.free_rotation else "closed form"
+        return "closed form" if self.ik.task.whole and not scan_obstacle(robot) else "search"
 
 
 def _digest(scene: Scene) -> str:
@@ -186,7 +186,8 @@ def _read(table: Table, folder: Path) -> Study:
     usual = {key: 0 if moving and key == "audited" else getattr(Study, key) for key in least}
     counts = {key: table.count(key, usual[key], least=few) for key, few in least.items()}
     robots_of = [v.robot for v in variants]
-    motions = read_motions(table, robots_of, targets, ik.task, wanted["margin"]) if moving else None
+    motions = read_motions(table, robots_of, targets, wanted["margin"]) if moving else None
+    ik = ik if motions is None else ik.changed({"task": motions.plan.task})
     if motions is not None:
         axes, variants = from_starts(motions, *among_scenes(around, axes, variants))
     name = table.text("name", "sweep")
@@ -237,8 +238,7 @@ def _ik(table: Table, targets: Targets, margin: float | None) -> IKOptions:
         if not chosen[key] > 0.0:
             raise row.fail(f"{key} = {chosen[key]:g}", "write a number > 0")
     chosen |= {"collision": False} if margin is None else {"margin": margin}
-    task = Task.position() if targets.free_rotation else default.task
-    return made(row, "change it", IKOptions, task=task, **chosen)
+    return made(row, "change it", IKOptions, task=read_study_task(row, targets), **chosen)
 
 
 def _targets(table: Table, folder: Path, robots: list[Robot], scene: Scene | None, grasp: Grasp) -> Targets:

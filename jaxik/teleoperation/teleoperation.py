@@ -34,6 +34,7 @@ from jaxik.dynamics.point_force import PointForce, as_point_forces, trusted
 from jaxik.kinematics.forward import as_posture, forward_kinematics, jacobian
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSE, Task
+from jaxik.kinematics.tasks import check_given
 from jaxik.motions.nullspace import Box, RateLimits, downhill, resolve
 from jaxik.motions.path import TipMotion
 from jaxik.options import Options, anything, choice, count, flag, instance, number, per_joint
@@ -143,6 +144,7 @@ class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
 
     def check(self) -> None:
         self.robot.only_tip("teleoperation")
+        check_given("teleoperation: task", self.task, "the hand", own_tip=True)
         check_collision("teleoperation", self.collision, self.scene, self.margin)
         for name, kinds in (("mapping", "PositionControl"), ("channel", "WaveVariables")):
             given = getattr(self, name)

@@ -37,6 +37,7 @@ from jaxik.dynamics.point_force import PointForce, as_point_forces, point_jacobi
 from jaxik.kinematics.forward import as_posture
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSITION, Task
+from jaxik.kinematics.tasks import check_given
 from jaxik.motions.nullspace import FLOOR, RateLimits, TaskAt, damped, downhill, settles
 from jaxik.motions.path import TipMotion
 from jaxik.options import Options, anything, choice, count, flag, instance, number, per_joint
@@ -130,6 +131,7 @@ class Reaction(Options, Stepped, who="reaction", eq=False):
     floor: float = number(default=FLOOR, least=0.0, words="regularisation at singularities, as `resolve` has it")
 
     def check(self) -> None:
+        check_given("reaction: task", self.task, "the motion", own_tip=True)
         if not isinstance(self.stiffness, StiffnessEstimator):
             check_finite(self.who, 1e-9, stiffness=self.stiffness)
         if self.gain is not None and not settles(self.gain, self.dt):

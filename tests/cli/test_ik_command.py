@@ -8,9 +8,11 @@ import time
 
 import numpy as np
 import pytest
+from robots import pinocchio
 
 import jaxik
 from jaxik.cli.ik import IKArguments
+from jaxik.cli.plan import PlanArguments
 
 
 @pytest.mark.parametrize("solutions", [3, "all"])
@@ -106,3 +108,38 @@ def test_ctrl_c_keeps_what_is_done(tmp_path, times):
     else:
         assert told.splitlines()[-1] == "stopped; targets 5 to 40 were not tried" and "4 of 4 targets solved" in out
         assert len(np.load(tmp_path / "ik.npz")["q"]) == 4
+
+
+def test_tasks_in_words(tmp_path, monkeypatch, capsys):
+    """The places of a file, and a tool that points down within a cone: as SciPy measures it."""
+    monkeypatch.chdir(tmp_path)
+    places, turned = np.array([[0.4, 0.1, 0.4], [0.5, 0.1, 0.3]]), "0,0,0,0,1,0,0"
+    np.savez("targets.npz", positions=places)
+    asked = {"robot": "ur5e", "targets": "targets.npz", "collision": False, "out": tmp_path / "ik.npz"}
+    IKArguments(task=("position", f"upright z within 10deg at {turned}"), **asked).run()
+    IKArguments(task=("position", f"upright z within 10deg at {turned}"), **asked | {"out": tmp_path / "ik.csv"}).run()
+    assert "2 of 2 targets solved" in capsys.readouterr().out
+    pose = pinocchio(jaxik.load("ur5e"))
+    with np.load("ik.npz", allow_pickle=False) as found:
+        for q, place in zip(found["q"], places, strict=True):
+            tip = pose(q)
+            np.testing.assert_allclose(tip[:3, 3], place, atol=1e-6)
+            assert -tip[2, 2] >= np.cos(np.radians(10.0) + 1e-6)
+    for wrong, words in (
+        ({"task": ("uprigt z",)}, "did you mean 'upright'"),
+        ({"task": ("position",), "free": ("yaw",)}, "write --task"),
+        ({"task": ("position at 0.4,0,0.4",)}, "leave 'at' out"),
+        ({"task": ("position tip wrist_3_jont_axis",)}, "did you mean 'wrist_3_joint_axis'"),
+    ):
+        with pytest.raises(ValueError, match=words) as error:
+            IKArguments(**asked | wrong).run()
+        assert "\n" not in str(error.value)
+
+
+def test_a_task_all_the_way_in_words(tmp_path, capsys):
+    start, goal = (0.3, -1.2, 1.4, -0.6, 0.9, 0.2), (0.7, -1.2, 1.4, -0.6, 0.9, 0.2)
+    PlanArguments(robot="ur5e", start=start, goal=goal, along=("plane z within 1cm axes base",), out=tmp_path / "m.npz").run()
+    pose = pinocchio(jaxik.load("ur5e"))
+    with np.load(tmp_path / "m.npz", allow_pickle=False) as moved:
+        tips = np.array([pose(q) for q in moved["q" if "q" in moved else "positions"]])
+    assert np.abs(tips[:, 2, 3] - pose(np.array(start))[2, 3]).max() <= 0.01 + 1e-4

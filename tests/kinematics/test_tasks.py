@@ -43,6 +43,8 @@ PLAIN = {
     "line": Task.line("x"),
     "plane": Task.plane("y"),
     "mixed": Task.pose(("x", "roll"), axes="base"),
+    "one turn": Task.pose(("roll", "pitch")),
+    "one turn of the base": Task.pose(("x", "pitch", "yaw"), axes="base"),
 }
 
 
@@ -105,12 +107,12 @@ def test_the_slope_of_half_the_square_is_that_of_differences(name, near):
         np.testing.assert_allclose(np.einsum("nm,nmk->nk", left, rows), half, rtol=2e-6, atol=1e-8)
 
 
-@pytest.mark.parametrize("name", ["box", "base box", "twist", "own", "own equation"])
+@pytest.mark.parametrize("name", ["box", "base box", "twist", "own", "own equation", "one turn", "one turn of the base"])
 def test_slopes_of_what_is_measured(name):
     with jax.enable_x64(True):
-        given = frames(8, 1)
-        found = differences(lambda *at: parts(SETS[name], *at)[2], *given)
-        np.testing.assert_allclose(parts(SETS[name], *given)[3], found, rtol=1e-6, atol=1e-8)
+        task, given = (SETS | PLAIN)[name], frames(8, 1)
+        found = differences(lambda *at: parts(task, *at)[2], *given)
+        np.testing.assert_allclose(parts(task, *given)[3], found, rtol=1e-6, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", [n for n, t in SETS.items() if not (t.looks or t.function)] + list(PLAIN))

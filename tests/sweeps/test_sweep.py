@@ -211,6 +211,23 @@ def test_a_closed_form_that_is_given_nothing_misses_nothing(tmp_path, monkeypatc
     assert sweep_picture._effort({"effort": "slides", "of": ["lift", "panda_joint7"]}) == "positions of lift and panda_joint7"
 
 
+def test_a_task_in_words(tmp_path):
+    """Tools are within the cone by Pinocchio; errors are those to the cone, and a place alone has none of turning."""
+    targets = {"kind": "grid", "x": [0.3, 0.9, 2], "y": [0.0, 0.4, 2], "z": [0.2, 0.8, 2], "directions": [[0, 0, -1]]}
+    asked = {"robot": "ur5e", "targets": targets}
+    cone = jaxik.sweep(asked | {"ik": {"task": "pointing z within 20deg"}}, tmp_path / "c.zarr")
+    place = jaxik.sweep(asked | {"ik": {"task": jaxik.Task.position()}}, tmp_path / "p.zarr").dataset()
+    found, pose = cone.dataset(), pinocchio(cone.study.variants[0].robot)
+    poses, q, solved = cone.study.targets.poses_at(np.arange(8)), found.q.values.reshape(8, 6), found.reachable.values.ravel()
+    assert solved.sum() > 3 and cone.study.method(cone.study.variants[0].robot) == "search"
+    for tip, target in zip(map(pose, q[solved]), poses[solved], strict=True):
+        np.testing.assert_allclose(tip[:3, 3], target[:3, 3], atol=1e-6)
+        assert tip[:3, 2] @ target[:3, 2] >= np.cos(np.radians(20.0) + 1e-6)
+    assert np.nanmax(found.rotation_error) < 1e-6 and np.isnan(place.rotation_error).all()
+    assert cone.study.describe()["task"] != jaxik.sweeps.Study.of(asked | {"ik": {"task": "line"}}).describe()["task"]
+    assert "task" not in jaxik.sweeps.Study.of(asked).describe()
+
+
 def test_what_is_missed_is_measured(tmp_path):
     """The audit's rates, against sweeps of the same targets with the same efforts; and its bound against SciPy's own test."""
     from scipy.stats import binomtest
@@ -358,6 +375,12 @@ def test_crops_keep_clear_of_their_own_scene():
         ({"collision": {"margins": 1}}, "unknown key 'margins'"),
         ({"robot": BARE, "collision": {"scene": "cucumber_row"}}, "no collision geometry"),
         ({"ik": {"choice": "best"}}, "choice 'best'"),
+        ({"ik": {"task": "uprigt z"}}, "did you mean 'upright'"),
+        ({"ik": {"task": ["position", "line"]}}, "write one task"),
+        ({"ik": {"task": "position weight 1"}}, "weight 1 makes it soft"),
+        ({"ik": {"task": "position tip hand"}}, "own tip is meant"),
+        ({"ik": {"task": jaxik.Task.own(lambda tip, target: tip[:3, 3])}}, "write one in words"),
+        ({"ik": {"task": "pose"}, "targets": GRID | {"directions": "any", "roll_deg": None}}, "these are positions"),
         ({"robots": ["p6r", "p6r"], "robot": None}, "two robots of one name"),
         ({"out": "a.zarr"}, "unknown key 'out'"),
         ({"robot": {"file": "p6r", "meshes": "no"}}, "meshes = 'no'"),
