@@ -5,8 +5,10 @@ FOLDER holds MotionBenchMaker's problems of the Panda (`setups/`). Needs `pip in
 
 - a cup is carried upright among shelves and on tables: where the hand is at each problem's start and goal there it is again,
   one of its axes within a cone of the vertical, by `solve_ik`; the same axis keeps to the cone all the way;
-- the plane, the line and the maze of McVAMP [vectorised constrained planning with VAMP], built anew: a Panda whose hand points
-  down on a plane, on a line, and on a plane between walls.
+- the plane and the line of McVAMP [vectorised constrained planning with VAMP], built anew: the place of a Panda's hand is on a
+  plane, or on a line, its turn is free, among none to ninety small cubes;
+- the same with a hand that points down all the way, with nothing around, with goals as postures and as poses, and on a plane
+  between the walls of a maze.
 
 Judged from outside: how far each motion is off at 10,000 moments by Pinocchio, and whether some of them collide by coal.
 """
@@ -39,8 +41,11 @@ LOW, TOP, WALL = 0.03, 0.05, 0.005  # of the plane of the maze; how high and hal
 WALLS = (-0.27, -0.09, 0.09, 0.27)  # across y; the inner ones have a gap at one end [m]
 MAZE, GAP = (0.3, 0.66), 0.17  # from and to along x, and how wide a gap is [m]
 DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
-PAPER = {"plane": "1,000 of 1,000 in 0.34 ms", "line": "758 of 766 in 0.11 ms", "maze": "79 of 100 in 4.4 ms"}
+PAPER = {"plane": "1,000 of 1,000 in 0.34 ms", "line": "758 of 766 in 0.11 ms"}
 COUNTS = {"plane": 1000, "line": 766, "maze": 100}
+CUBES, HALF, ROOM = 10, (0.003, 0.025), ((-0.1, 0.8), (-0.8, 0.8), (-0.2, 0.7))  # more a tenth; half their size; where [m]
+NEAREST = 0.01  # [m] that they are away from the ends at least
+ELBOW, SHOULDER = 0.107 + 0.384, (0.333, float(np.hypot(0.316, 0.0825)))  # above a hand; how high, and its upper arm [m]
 
 
 class Problem(NamedTuple):
@@ -98,7 +103,34 @@ def between(
     return found[:count]
 
 
-def paper(robot: jaxik.Robot, name: str, count: int) -> list[Problem]:
+def among_cubes(robot: jaxik.Robot, problems: list[Problem]) -> list[Problem]:
+    """Problems of which only the place is bound, each among some cubes that are away from its ends."""
+    rng, found = np.random.default_rng(1), []
+    for k, problem in enumerate(problems):
+        count = CUBES * (k % 10)
+        places, half = (rng.uniform(*x, count) for x in ROOM), rng.uniform(*HALF, count)
+        scene = jaxik.make_scene(boxes=np.column_stack([*places, *[2.0 * half] * 3])) if count else problem.scene
+        near = {
+            each.other
+            for q in (problem.start, problem.goal)
+            for each in jaxik.explain(robot, scene, q, count=1000, below=NEAREST).contacts
+            if each.other in scene.object_names
+        }
+        bound = [x for x, some in zip(("x", "y", "z"), problem.task.bound, strict=False) if not some]
+        task = Task.pose((*bound, "roll", "pitch", "yaw"), axes="base").at(np.reshape(problem.task.target, (4, 4)))
+        found.append(problem._replace(scene=scene.without(sorted(near)) if near else scene, task=task))
+    return found
+
+
+def parted(problem: Problem) -> bool:
+    """Whether there is no motion for a hand that points down: at q6 = pi its forearm is vertical, its elbow further from the
+    shoulder than the upper arm is long above some height, and its ends lie before and beyond that."""
+    high, upper = SHOULDER
+    sides = (problem.start[5] - np.pi) * (problem.goal[5] - np.pi)
+    return bool(np.reshape(problem.task.target, (4, 4))[2, 3] + ELBOW - high > upper and sides < 0.0)
+
+
+def pointing_down(robot: jaxik.Robot, name: str, count: int) -> list[Problem]:
     """The problems of a plane, of a line, or of a maze on a plane, with a hand that points down."""
     rng, empty = np.random.default_rng(0), jaxik.make_scene()
     if name == "line":
@@ -142,7 +174,7 @@ def off(robot: pin.Model, frame: int, task: Task, q: np.ndarray) -> np.ndarray:
         pose = data.oMf[frame]
         place = np.where(task.bound[:3], pose.translation - target[:3, 3], 0.0)
         one, other = pose.rotation[:, free], target[:3, free]
-        angle = np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other)
+        angle = np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other) if any(task.bound[3:]) else cone
         worst = np.maximum(worst, [np.linalg.norm(place), angle - cone])
     return worst
 
@@ -194,15 +226,28 @@ def main() -> None:
     model = pin.buildReducedModel(model, away, pin.neutral(model))
     judge = model, model.getFrameId(HAND)
     goals = [g for g in motionbenchmaker.goals(wanted.folder, robot) if g.name.startswith(SETS)][:: wanted.every]
-    result: dict[str, Any] = {"machine": machine(), "robot": robot.name, "moments": MOMENTS, "cups": {}, "paper": {}}
+    result: dict[str, Any] = {
+        "machine": machine(),
+        "robot": robot.name,
+        "moments": MOMENTS,
+        "cups": {},
+        "paper": {},
+        "down": {},
+    }
     for cone in CONES:
         problems, lost = cups(robot, goals, np.radians(cone))
         result["cups"][f"{cone:g}"] = {"without_posture": lost} | asked(robot, problems, judge, coal, wanted.some)
         print(cone, json.dumps(result["cups"][f"{cone:g}"]), flush=True)
     for name, count in COUNTS.items():
-        problems = paper(robot, name, max(1, count // wanted.every))
-        result["paper"][name] = {"published": PAPER[name]} | asked(robot, problems, judge, coal, wanted.some)
-        print(name, json.dumps(result["paper"][name]), flush=True)
+        problems, rows = pointing_down(robot, name, max(1, count // wanted.every)), result["down"]
+        rows[name] = {"parted": sum(map(parted, problems))} | asked(robot, problems, judge, coal, wanted.some)
+        if name == "plane":
+            poses = [p._replace(goal=np.array(jaxik.forward_kinematics(robot, p.goal))) for p in problems]
+            rows["plane, goals as poses"] = asked(robot, poses, judge, coal, wanted.some)
+        if name in PAPER:
+            free = among_cubes(robot, problems)
+            result["paper"][name] = {"published": PAPER[name]} | asked(robot, free, judge, coal, wanted.some)
+        print(name, json.dumps([rows, result["paper"]]), flush=True)
     wanted.out.write_text(json.dumps(result, indent=1) + "\n")
 
 

@@ -19,6 +19,7 @@ JUMP = 2.5  # times as far as the line's own points are from each other, that th
 BENT = 4.0  # strides that a point is brought at most
 FEW = 3  # points of each line that are looked at before the others
 ROOM, TURNS, GAIN = 10, 3, 0.02  # places of a way that is made shorter; turns at most, and the least share that one is to gain
+BENDS = 5  # points of a bend that are looked at before the whole way is
 SHARES = 0.5 ** np.arange(1.0, 6.0)  # of the shorter line at a corner, at which its bend begins and ends
 
 
@@ -88,7 +89,7 @@ class Manifold:
         there[there] = ~self.hits(points[there])
         return points, there
 
-    def shorter(self, way: np.ndarray, seed: int) -> np.ndarray:
+    def shorter(self, way: np.ndarray, seed: int | tuple[int, int]) -> np.ndarray:
         """The corners (k, n) of a way that is no longer than that by others, between which there are lines on the manifold."""
         draw, lines = np.random.default_rng(seed), self.lines(way[:-1], way[1:])
         parts = [lines.of(i) if lines.free[i] else way[i : i + 2] for i in range(len(way) - 1)]
@@ -164,10 +165,9 @@ class Manifold:
         size = most * SHARES[:, None]  # (s, k - 2)
         begin = way[1:-1] - size[..., None] * along[:-1]
         end = way[1:-1] + size[..., None] * along[1:]
-        count = 2 + int(np.ceil(self.space.length(end - begin).max() / self.step))
-        x = np.linspace(0.0, 1.0, count)[:, None, None, None]
+        x = np.linspace(0.0, 1.0, BENDS + 2)[1:-1, None, None, None]  # all points of the whole are looked at later
         q = (1.0 - x) ** 2 * begin + 2.0 * x * (1.0 - x) * way[1:-1] + x**2 * end
-        free = self._holds(q.reshape(-1, way.shape[1])).reshape(count, len(SHARES), -1).all(axis=0)
+        free = self._holds(q.reshape(-1, way.shape[1])).reshape(BENDS, len(SHARES), -1).all(axis=0)
         return np.max(np.where(free, size, 0.0), axis=0)
 
 

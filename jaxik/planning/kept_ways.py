@@ -2,7 +2,7 @@
 
 Straight lines, brought onto the manifold, are tried first; else two trees are grown there (`tree_search`). A cubic spline
 through points of the way leaves the manifold by their distance to the fourth power, and at a bend to the second. So it is
-proven as it is, or with twice as many points, until it is: that it keeps the tasks (`KeptBounds`), that it is free, by chords
+proven as it is, or with more points where it is not: that it keeps the tasks (`KeptBounds`), that it is free, by chords
 with room for how far it is from them, and that it is inside the limits, by its Bezier points.
 """
 
@@ -35,12 +35,13 @@ LOOKS = (
     Look(0.00625, 0.0005, 1.0, 3, 1, 1.1, 512),
 )
 STRIDE = 2.0  # steps of a look from point to point of a way
-FINER = 4  # times that a spline gets twice as many points, at most
+FINER = 6  # times that a spline gets more points, at most
 CHORDS = 1, 4, 16  # of a piece, more where fewer do not tell
 SLACK = 1e-3  # [rad, m] within the limits, in which points are sought, for what a spline does between them
 BEYOND = 1e-6  # [rad, m] by which a joint may be beyond its limits: what float32 makes of them
 INSIDE = 2e-3, 1e-2  # [m], [rad] that points are inside of what a task allows
 SHARE = 0.25  # of its width, at most
+DRAWN = 256  # random configurations that are brought to where tasks are kept
 LOOSER = 0.25  # of what the samples of a search keep beyond the margin, that points between them keep
 
 
@@ -99,6 +100,14 @@ class Along:
         """Whether ends that are so far off (b, k, 2) may be those of a motion: by half of the tolerance."""
         return np.asarray((off <= 0.5 * self.tolerance).all(axis=(1, 2)))
 
+    def contradict(self, start: np.ndarray) -> bool:
+        """Whether no configuration was found that keeps all of several tasks of a motion from a start (n,): neither near to it
+        nor to random ones."""
+        low, high = self.robot.finite_limits
+        drawn = np.random.default_rng(0).uniform(low, high, (DRAWN, len(start)))
+        kept = Kept(self.law, self.targets(start[None])[0], low, high)
+        return len(self.each) > 1 and not kept.brought(np.concatenate([start[None], drawn]))[1].any()
+
     def words(self, off: np.ndarray) -> str:
         """Tells the task that an end is off, and by how much (k, 2)."""
         worst = int(np.argmax((off / self.tolerance).max(axis=1)))
@@ -128,9 +137,11 @@ def kept_ways(
     seconds: float | None,
     among: np.ndarray,
     told: Callable[[int, int], Any],
+    better: Callable[[KeptProblem], Any] | None = None,
 ) -> KeptWays:
     """Splines from each start (b, n) to one of its goals (g, n), none for a start without goals, on which tasks are kept
-    `along`: by so many rounds, or in so many `seconds` for each on average. The ends keep the tasks."""
+    `along`: by so many rounds, or in so many `seconds` for each on average. The ends keep the tasks. What is found is made
+    `better`."""
     count = len(starts)
     found = KeptWays([None] * count, [None] * count, np.zeros(count, int), np.zeros(count, int), [None] * count)
     asked = np.array([i for i, each in enumerate(goals) if len(each)], int)
@@ -143,7 +154,7 @@ def kept_ways(
     problems = []
     for k, i in enumerate(asked.tolist()):
         bounds = _inside_limits(space, starts[i], goals[i])
-        problems.append(_Problem(space, along, targets[k], bounds, ends[k], int(among[i]), most[k], seed))
+        problems.append(KeptProblem(space, along, targets[k], bounds, ends[k], int(among[i]), most[k], seed))
     left = [k for k, problem in enumerate(problems) if not problem.hopeless]
     for k in left:
         problems[k].straight()
@@ -152,6 +163,8 @@ def kept_ways(
         _search(space, along, [problems[k] for k in left], seed, rounds, end, told, count - len(left))
     for k, i in enumerate(asked.tolist()):
         problem = problems[k]
+        if better is not None and problem.path is not None:
+            better(problem)
         found.paths[i], found.ways[i] = problem.path, problem.way
         found.rounds[i], found.checked[i] = problem.rounds, problem.checked
         found.gaps[i] = None if problem.path is not None else problem.gap
@@ -162,7 +175,7 @@ def kept_ways(
 def _search(
     space: CollisionChecker,
     along: Along,
-    problems: list[_Problem],
+    problems: list[KeptProblem],
     seed: int,
     rounds: int,
     end: float,
@@ -178,30 +191,47 @@ def _search(
     left_seconds = None if np.isinf(end) else max(0.0, end - time.monotonic())
     clock = Clock(left_seconds, lambda taken, ended: told(taken, done + ended), searches)
     spent, left = np.zeros(count, int), np.arange(count)
-    for look in LOOKS:
-        limit = np.full(count, int(np.ceil(look.share * rounds)))
-        cushion = np.array([float(kept_of(p.most, look.cushion)[0]) for p in problems])
-        for _ in range(TRIES):
-            if not len(left) or clock.over:
-                break
-            search_on(searches, left, look, cushion, limit - spent, clock)
-            joined = left[searches.found.joined[left]]
-            if not len(joined):
-                break
-            for i in joined.tolist():
-                manifold = problems[i].manifold(STRIDE * look.step, LOOSER * cushion[i])
-                if problems[i].finished(manifold, searches.way(i)):
-                    clock.ended += 1
-                else:
-                    searches.begin(i)
-                    spent[i] += UNPROVEN
+    while len(left) and not clock.over:  # anew with other samples, where trees were given up before the rounds are over
+        taken = searches.taken + spent
+        for look in LOOKS:
+            limit = taken + np.ceil(look.share * (rounds - taken)).astype(int)
+            _look(searches, problems, left, look, limit, spent, clock)
             left = np.array([i for i in left if problems[i].path is None], int)
-        left = np.array([i for i in left if problems[i].path is None], int)
+        left = left[(searches.taken + spent)[left] < rounds]
+        for i in left.tolist():
+            searches.begin(i)
     for i, problem in enumerate(problems):
         problem.rounds = int(searches.taken[i] + spent[i])
         problem.checked += 16 * int(searches.taken[i])
         if problem.path is None:
             problem.gap = searches.gap(i)
+
+
+def _look(
+    searches: Searches,
+    problems: list[KeptProblem],
+    left: np.ndarray,
+    look: Look,
+    limit: np.ndarray,
+    spent: np.ndarray,
+    clock: Clock,
+) -> None:
+    """Grows the trees of the problems that are `left` by a look, up to a `limit` (b,) of rounds, of which some are `spent` (b,)
+    on ways that could not be proven: after such a one by other samples."""
+    cushion = np.array([float(kept_of(p.most, look.cushion)[0]) for p in problems])
+    for _ in range(TRIES):
+        if not len(left) or clock.over:
+            break
+        search_on(searches, left, look, cushion, limit - spent, clock)
+        left = left[searches.found.joined[left]]  # the others look closer
+        for i in left.tolist():
+            manifold = problems[i].manifold(STRIDE * look.step, LOOSER * cushion[i])
+            if problems[i].finished(manifold, searches.way(i)):
+                clock.ended += 1
+            else:
+                searches.begin(i)
+                spent[i] += UNPROVEN
+        left = np.array([i for i in left if problems[i].path is None], int)
 
 
 def _inside_limits(space: CollisionChecker, start: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -212,7 +242,7 @@ def _inside_limits(space: CollisionChecker, start: np.ndarray, goals: np.ndarray
     return np.minimum(low + slack, ends.min(axis=0)), np.maximum(high - slack, ends.max(axis=0))
 
 
-class _Problem:
+class KeptProblem:
     """One start and its goals: `ends` (e, n), the start first, which keep `most` (e,) [m] beyond the margin."""
 
     def __init__(
@@ -235,6 +265,7 @@ class _Problem:
         self.most = np.array([most[np.r_[True, free]].min()])
         self.path: JointPath | None = None
         self.way: np.ndarray | None = None
+        self.found_on: Manifold | None = None  # as closely as the way was looked at
         self.rounds, self.checked, self.gap = 0, 0, ends[[0, 1]]
 
     def manifold(self, step: float, cushion: float) -> Manifold:
@@ -254,30 +285,35 @@ class _Problem:
 
     def finished(self, manifold: Manifold, way: np.ndarray) -> bool:
         """Whether a way by corners (k, n) becomes a spline that is proven."""
+        return self._spline(manifold, manifold.shorter(self.cornered(way), self.seed))
+
+    def cornered(self, way: np.ndarray) -> np.ndarray:
+        """The corners (k, n) of a way, its ends to the last bit, the others where float64 has the tasks kept."""
         way[0] = self.start
         way[-1] = self.goals[np.argmin(np.abs(self.goals - way[-1]).sum(axis=1))]
         inner, there = self.kept.brought(way[1:-1])
         way = np.concatenate([way[:1], inner[there], way[-1:]])
-        way = way[np.r_[True, self.space.length(np.diff(way, axis=0)) > 1e-6]]
-        return self._spline(manifold, manifold.shorter(way, self.seed))
+        return way[np.r_[True, self.space.length(np.diff(way, axis=0)) > 1e-6]]
 
     def _spline(self, manifold: Manifold, way: np.ndarray) -> bool:
-        points = manifold.rounded(way)
-        if points is not None:
-            self.path, self.way = self.proven(points)
+        self.path, self.way, self.found_on = *self.spline(manifold, way), manifold
         return self.path is not None
 
+    def spline(self, manifold: Manifold, way: np.ndarray) -> tuple[JointPath | None, np.ndarray | None]:
+        """A proven spline along a way by corners (k, n), and its points; or None."""
+        points = manifold.rounded(way)
+        return (None, None) if points is None else self.proven(points)
+
     def proven(self, way: np.ndarray) -> tuple[JointPath | None, np.ndarray | None]:
-        """A spline through points (k, n) that is proven, and its points; or None."""
+        """A spline through points (k, n) that is proven, and its points, with more of them where it is not; or None."""
         for _ in range(FINER + 1):
             path = JointPath.spline(way)
-            if (self.bounds.beyond(path) <= self.along.tolerance).all():
+            left = np.flatnonzero((self.bounds.beyond(path) > self.along.tolerance).any(axis=1))
+            if not len(left):
                 return (path, way) if self._free(path) else (None, None)
-            middle = at_share(path, 0.5)
+            middle = at_share(path, 0.5)[left]
             new, there = self.kept.brought(middle)
-            both = np.empty((len(way) + len(new), way.shape[1]))
-            both[::2], both[1::2] = way, np.where(there[:, None], new, middle)
-            way = both
+            way = np.insert(way, left + 1, np.where(there[:, None], new, middle), axis=0)
         return None, None
 
     def _free(self, path: JointPath) -> bool:

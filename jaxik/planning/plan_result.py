@@ -22,7 +22,7 @@ HELP = {
     Reason.NOT_CONVERGED: "another seed, more rounds, a longer timeout or a smaller margin may help",
     Reason.NO_WAY: "move what stands between, or ask for a smaller margin",
     Reason.INVALID: "give finite numbers",
-    Reason.OFF_TASK: "solve_ik with the tasks of along finds a configuration that does what they ask",
+    Reason.OFF_TASK: "solve_ik with the tasks of along tells of a configuration that does what they ask",
 }
 ESCAPES = "escape=True leads out of it first"
 LOOKS = 17  # configurations between the trees of a search, of which is told what they hit

@@ -23,6 +23,7 @@ from jaxik.planning.goal_search import searched
 from jaxik.planning.improvement import improved
 from jaxik.planning.jerk_timing import smooth_laws
 from jaxik.planning.kept_goals import kept_goals
+from jaxik.planning.kept_improvement import improve
 from jaxik.planning.kept_ways import Along, kept_ways
 from jaxik.planning.limits import AnyLimits, Limits, limit_of, motion_limits
 from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, reached, turned
@@ -174,9 +175,13 @@ def _kept(
     sought = [each[some] for each, some in zip(goals, free, strict=True)]
     told = lambda taken, done: progress(*((taken, options.rounds) if asked.single else (done, count))) if progress else None
     off = _off_tasks(along, starts, sought, ended)
-    found = kept_ways(space, along, starts, sought, seed, options.rounds, options.timeout, among, told)
+    lasts = lambda path: float(timed(robot, [_of_a_power(path)], pace)[0].duration)
+    long = lambda points: float(space.length(np.diff(points, axis=0)).sum())
+    cost = lambda path, points: lasts(path) if options.improves == "time" else long(points)
+    better = (lambda problem: improve(problem, seed, float(options.improve or 0.0), cost)) if options.improve else None
+    found = kept_ways(space, along, starts, sought, seed, options.rounds, options.timeout, among, told, better)
     moved = [i for i, path in enumerate(found.paths) if path is not None]
-    paths = [padded(path, 2 ** int(np.ceil(np.log2(len(path.lengths))))) for path in found.paths if path is not None]
+    paths = [_of_a_power(path) for path in found.paths if path is not None]
     motions = dict(zip(moved, timed(robot, paths, pace), strict=True))
     for i, gap in enumerate(found.gaps):
         if gap is not None:
@@ -186,10 +191,15 @@ def _kept(
         if way is not None:
             away = sought[i] - starts[i]
             bounds[i], least[i] = space.length(away).min(), pace.limits.least(away).min()
-            lengths[i] = space.length(np.diff(way, axis=0)).sum()
+            lengths[i] = long(way)
     told_of = ended.reason, tuple(ended.where), tuple(found.ways), tuple(motions.get(i) for i in range(count)), lengths, bounds
     reach = arrived(robot, found.ways, goals if asked.poses is not None else asked.goals, asked, options.postures)
     return PlanResult(*told_of, found.rounds, found.checked, *reach, np.zeros(count, int), ended.stuck, places, least, off)
+
+
+def _of_a_power(path: JointPath) -> JointPath:
+    """The path with a power of two of pieces, so that programs are few."""
+    return padded(path, 2 ** int(np.ceil(np.log2(len(path.lengths)))))
 
 
 def _off_tasks(along: Along, starts: np.ndarray, goals: list[np.ndarray], ended: Ended) -> tuple[str | None, ...]:
@@ -205,7 +215,8 @@ def _off_tasks(along: Along, starts: np.ndarray, goals: list[np.ndarray], ended:
             k = 0 if not holds[0] else 1 + int(np.argmin((off[1:] / along.tolerance).max(axis=(1, 2))))
             ended.reason[i], ended.where[i] = int(Reason.OFF_TASK), "goal" if k else "start"
             ended.stuck[i] = starts[i] if not k else each[k - 1]
-            words[i] = along.words(off[k])
+            several = f", and no configuration was found that keeps all {len(along.each)} tasks of along together"
+            words[i] = along.words(off[k]) + several * bool(k == 0 and along.contradict(starts[i]))
         goals[i] = each[holds[1:] & holds[0]]
     return tuple(words)
 

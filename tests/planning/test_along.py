@@ -152,6 +152,12 @@ def test_bounds_between_samples_hold(seven, name):
     assert (worst < 0.02).all()
 
 
+def at_height(height):
+    pose = np.eye(4)
+    pose[2, 3] = height
+    return pose
+
+
 def test_an_end_off_a_task_is_told_by_how_much(seven):
     goal = START + np.array([0.3, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
     task = Task.upright("z", within=0.05)
@@ -163,6 +169,9 @@ def test_an_end_off_a_task_is_told_by_how_much(seven):
     assert moved.where == ("goal", "start") and (moved.reason == Reason.OFF_TASK).all()
     both = [task.at(np.eye(4)), Task.upright("x", within=0.05).at(np.eye(4))]
     assert plan_motion(seven.robot, START, goal, along=both).where == "start"
+    apart = [Task.plane("z", axes="base").at(at_height(height)) for height in (0.5, 0.6)]
+    assert "no configuration was found that keeps all 2 tasks" in plan_motion(seven.robot, START, goal, along=apart).why
+    assert "no configuration" not in plan_motion(seven.robot, START, goal, along=both[:1] * 2).why
     same = plan_motion(seven.robot, START, [goal, START], along=task)
     assert same and same.goal == 1 and same.trajectory.duration == 0.0
     assert plan_motion(seven.robot, START * np.nan, goal, along=task).reason == Reason.INVALID
@@ -182,6 +191,34 @@ def test_postures_of_a_pose_keep_the_tasks(seven):
     lying[:3, :3] = wanted[:3, :3] @ Rotation.from_euler("y", 0.5).as_matrix()
     refused = plan_motion(robot, START, lying, along=task)
     assert refused.reason == Reason.OFF_TASK and "0.4 rad off" in refused.why
+
+
+def test_better_ways_keep_the_task(seven):
+    robot, task, truth = seven.robot, Task.upright("z", within=0.2), seven.truth
+    goal = kept_near(robot, task, START, START + 0.4 * np.array([2, 1, 0, -1, 0, 1, 0]))[1]
+    first = plan_motion(robot, START, goal, scene=POST, along=task)
+    wanted = truth.pose(START, "hand")
+    for kind, measure in (("length", lambda m: m.length), ("time", lambda m: m.trajectory.duration)):
+        better = plan_motion(robot, START, goal, scene=POST, along=task, improve=0.2, improves=kind)
+        assert first and better and measure(better) < measure(first)
+        q = better.trajectory.sample(0.01).q
+        assert max(off(task, truth.pose(each, "hand"), wanted)[1] for each in q) <= 1e-4 + 1e-7
+        assert seven.coal.clearance(POST, q[::5]).min() > -1e-5
+        np.testing.assert_allclose(q[[0, -1]], [START, goal], atol=1e-9)
+
+
+def test_a_pose_has_postures_in_other_parts_of_a_manifold():
+    """A Panda's hand points down on a plane. At q6 = pi its forearm would be vertical and the elbow 0.491 m above the hand,
+    further from the shoulder, 0.333 m high, than its upper arm is long, 0.327 m: no motion passes there."""
+    robot = jaxik.load("panda")
+    start = np.array([-0.658350598, 0.686435058, -0.8164265, -2.010003481, 0.730515603, 2.377127845, -1.961078476])
+    beyond = np.array([-0.242841765, 0.489517735, 0.727226745, -2.236049591, 2.562013565, 3.749024333, -1.951071861])
+    down = at_height(0.2) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    level = Task.pose(("x", "y", "yaw"), axes="base").at(down)
+    assert not plan_motion(robot, start, beyond, along=level, rounds=1000)
+    moved = plan_motion(robot, start, np.asarray(jaxik.forward_kinematics(robot, beyond)), along=level)
+    assert moved, moved.why
+    assert (moved.trajectory.sample(0.01).q[:, 5] < np.pi).all()
 
 
 def test_joints_that_stand_stand_while_a_task_is_kept(seven):
