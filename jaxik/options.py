@@ -116,6 +116,12 @@ def per_joint(*, default: Any = None, words: str, unit: str = "", lone: bool = T
     return _declared(default, unit, words, lambda who, name, value: positive(f"{who}: {name}{told}", value, lone))
 
 
+def per_tip(*, default: Any = None, words: str, unit: str = "") -> Any:
+    """Positive numbers, one a tip or one for all; kept as a number or a tuple. None as it is."""
+    told = f" [{unit}]"
+    return _declared(default, unit, words, lambda who, name, value: positive(f"{who}: {name}{told}", value, True, "tip"))
+
+
 def pair(*, default: Any = REQUIRED, words: str, unit: str = "") -> Any:
     """Two positive numbers, kept as a tuple; one number is both."""
 
@@ -163,7 +169,7 @@ def anything(*, default: Any = REQUIRED, words: str, unit: str = "") -> Any:
 @dataclass_transform(
     frozen_default=True,
     kw_only_default=True,
-    field_specifiers=(number, count, choice, flag, per_joint, pair, names, instance, anything),
+    field_specifiers=(number, count, choice, flag, per_joint, per_tip, pair, names, instance, anything),
 )
 class Options:
     """A subclass is a frozen dataclass, made by keywords, each of whose fields is declared by one of this module's functions.

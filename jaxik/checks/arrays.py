@@ -122,9 +122,10 @@ def direction(what: str, given: Any) -> np.ndarray:
     return axis if abs(norm - 1.0) <= 1e-15 else axis / norm
 
 
-def positive(what: str, given: Any, lone: bool = False) -> float | tuple[float, ...] | None:
-    """`given` (n,), one finite number a joint, as a tuple; where a `lone` one for all is allowed, which is a bound, infinity is
-    allowed, too. None as it is. Raises `ValueError` for another shape, and for what is not above zero.
+def positive(what: str, given: Any, lone: bool = False, each: str = "joint") -> float | tuple[float, ...] | None:
+    """`given` (n,), one finite number a joint, or another `each`, as a tuple; where a `lone` one for all is allowed,
+    which is a bound, infinity is allowed, too. None as it is. Raises `ValueError` for another shape, and for what is not above
+    zero.
     """
     if given is None:
         return None
@@ -132,7 +133,7 @@ def positive(what: str, given: Any, lone: bool = False) -> float | tuple[float, 
     fits = values.size > 0 and values.ndim <= 1 and (lone or (values.ndim and np.isfinite(values).all()))
     if not (fits and (values > 0.0).all()):
         also = "one number, or one" if lone else "one finite number"
-        raise ValueError(f"{what} is {shown(given)}; allowed: {also} a joint, all above zero")
+        raise ValueError(f"{what} is {shown(given)}; allowed: {also} a {each}, all above zero")
     return tuple(values.tolist()) if values.ndim else float(values)
 
 

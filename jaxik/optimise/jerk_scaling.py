@@ -38,6 +38,7 @@ class Known(NamedTuple):
     third (2, n, k): the greatest and the least Q''' about each node.
     velocity, jerk (n, k): limits.
     linear (2, m, k), within (2, m, k): more limits, of b and of b', `-within[1] <= linear[0] b + linear[1] b' <= within[0]`.
+    top (k,), or one number: the greatest b beside that.
     """
 
     step: float
@@ -48,6 +49,7 @@ class Known(NamedTuple):
     jerk: np.ndarray
     linear: np.ndarray
     within: np.ndarray
+    top: np.ndarray | float = np.inf
 
 
 def fastest_warp(known: Sequence[Known], begin: Sequence[np.ndarray | None]) -> list[np.ndarray]:
@@ -80,6 +82,7 @@ def _given(known: Known, begin: np.ndarray | None, nodes: int) -> tuple[Any, ...
     count = known.first.shape[1]
     most, start = np.full(nodes, FASTEST), np.ones(nodes)
     most[:count] = 1.0 / np.maximum(np.max((known.first / known.velocity) ** 2, axis=0), 1.0 / FASTEST)
+    most[:count] = np.minimum(most[:count], known.top)
     start[:count] = 1.0 if begin is None else begin
     return np.int32(count), np.float64(known.step), start, np.float64(1.0 if begin is None else NEARER), most
 

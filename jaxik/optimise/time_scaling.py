@@ -30,22 +30,25 @@ _WORTH = 1e-3  # of the greatest x, to which what is better than it is found
 _FASTEST = 1e12  # ds/dt squared, where nothing moves
 
 
-def fastest(curve: Any, lengths: Any, velocity: Any, acceleration: Any, *rows: Any, parts: int) -> Any:
+def fastest(curve: Any, lengths: Any, velocity: Any, acceleration: Any, *rows: Any, parts: int, capped: bool = False) -> Any:
     """(ds/dt)^2 at the end of each part (k parts,) of a curve of k cubic pieces, each cut into `parts`: the greatest, from rest
     to rest.
 
     `curve` (k, 4, n) has each piece's coefficients, the highest power first, of the way since its beginning; `lengths` (k,)
     >= 0 are the pieces'; one of no length counts for nothing. Where the direction jumps between pieces, it stops. `rows`, where
     there are any, are p, r, low and high (k parts, m) of more limits `low <= p u + r x <= high` of each part, by what u and x
-    are at its beginning; low is below and high above zero. In float64.
+    are at its beginning; low is below and high above zero. If `capped`, the last of `rows` is the greatest x (k parts,) on
+    each part. In float64.
     """
+    cap, rows = (rows[-1], rows[:-1]) if capped else (None, rows)
     parts_of_all = jnp.arange(len(lengths) * parts)  # one loop, or a short one in it would be written out
 
     def part(i: Any) -> Any:
         """The length of part i and its rows."""
         piece = i // parts
         h = lengths[piece] / parts
-        return h, _rows(curve[piece], (i - piece * parts) * h, h, velocity, acceleration, [x[i] for x in rows])
+        *row, top = _rows(curve[piece], (i - piece * parts) * h, h, velocity, acceleration, [x[i] for x in rows])
+        return h, (*row, top if cap is None else jnp.minimum(top, cap[i]))
 
     def back(beyond: Any, i: Any) -> Any:
         """The greatest x at a part's beginning and the direction there, from those behind it."""

@@ -23,6 +23,7 @@ from jaxik.planning.fastest_timing import fastest_along
 from jaxik.planning.limits import Drives, Limits
 from jaxik.planning.path_parts import Part, known_motions, parts_of, used
 from jaxik.planning.s_curve import double_s, integrated
+from jaxik.planning.tip_speed import TipLimits
 from jaxik.planning.trajectory import JointPath, along_pieces, padded
 from jaxik.planning.way_law import Law, averaged, driven
 
@@ -32,7 +33,11 @@ ROUGH = 500  # places of a motion without a limit of the jerk
 RAMP, SOFTER = 0.25, 3  # of the time; turns in which accelerations are found that the jerk reaches in it
 TURNS, MOST = 3, 6  # in which limits are drawn in where they were missed: at least, and while they are missed
 MISSED = 1.05  # times the time, by which all of the motion would have to be slower
+LATER, HELD, BINDS = 16, 1.003, 0.9  # the same two where a tip has its speed somewhere, which is to be kept; share of that
+WORTH = 0.01  # share of the time, for which moments are halved there
 ABOUT = 1  # moments beside those
+ALL = 16_384  # moments of a part at most
+FINEST, LONGER = 16, 1.15  # moments of a rise to which they are halved, where a motion lasts so much longer than the rough one
 RISE = 3  # moments in which accelerations may rise at least
 FALLS = np.array([1.0, 2.0, 3.0, 2.0])  # powers of the slowness, with which velocity, acceleration, jerk and torque fall
 TOGETHER = 16  # parts in one call: what they take stays in the caches
@@ -42,15 +47,23 @@ Rough = tuple[np.ndarray, ...]  # times, places and speeds of a motion whose acc
 
 
 def smooth_along(
-    path: JointPath, limits: Limits, jerk: np.ndarray, drives: Drives | None, places: int | None, single: bool
+    path: JointPath,
+    limits: Limits,
+    jerk: np.ndarray,
+    drives: Drives | None,
+    places: int | None,
+    single: bool,
+    tips: Sequence[TipLimits] | None = None,
 ) -> tuple[np.ndarray, ...]:
     """The lengths, curves, times, places, speeds and accelerations of the least time along paths (N, ...), within limits
-    (N, n), the jerk among them. Raises `ValueError` as `fastest_along` does for a path that is `single`."""
+    (N, n), the jerk among them, and those of the tips along each. Raises `ValueError` as `fastest_along` does for a `single`
+    path."""
     lengths, curve = np.asarray(path.lengths), np.asarray(path.coefficients)
     if drives is not None and single:
         fastest_along(path, limits, drives, None, single)  # which says where they cannot hold the arm
-    rows = zip(lengths, curve, limits.velocity, limits.acceleration, jerk, strict=True)
-    laws = smooth_laws([Part(h, c, Limits(v, a), j, drives) for h, c, v, a, j in rows], places)
+    each: Sequence[TipLimits | None] = [None] * len(lengths) if tips is None else tips
+    rows = zip(lengths, curve, limits.velocity, limits.acceleration, jerk, each, strict=True)
+    laws = smooth_laws([Part(h, c, Limits(v, a), j, drives, t) for h, c, v, a, j, t in rows], places)
     most = max((len(law.time) for law in laws), default=2)
     filled = [[np.pad(x, (0, most - len(x)), mode="edge") for x in law] for law in laws]
     return lengths, curve, *np.reshape(filled, (len(laws), 4, most)).swapaxes(0, 1)
@@ -63,7 +76,8 @@ def smooth_laws(wholes: Sequence[Part], places: int | None) -> list[Law]:
     finite = [np.isfinite(whole.lengths).all() and np.isfinite(whole.curve).all() for whole in wholes]
     parts = [parts_of(whole) if known else [] for whole, known in zip(wholes, finite, strict=True)]
     every = [part for some in parts for part in some]
-    bent = [i for i, part in enumerate(every) if not part.straight]
+    lines = {i: law for i, part in enumerate(every) if part.straight and _within_tips(part, law := _line(part))}
+    bent = [i for i in range(len(every)) if i not in lines]
     rough = dict(zip(bent, _rough([every[i] for i in bent]), strict=True))
     lasts = np.array([rough[i][0][-1] if i in rough else 0.0 for i in range(len(every))])
     of = np.repeat(np.arange(len(wholes)), [len(some) for some in parts])
@@ -72,15 +86,15 @@ def smooth_laws(wholes: Sequence[Part], places: int | None) -> list[Law]:
     shares = np.concatenate([x / max(x.sum(), 1e-300) for x in each]) if each else np.zeros(0)
     bent = [i for i in bent if holds[of[i]]]
     counts = [max(FEWEST, int(np.ceil(shares[i] * count))) for i in bent]
-    found: dict[int, Law] = {}
+    found = dict(lines)
     for first in range(0, len(bent), TOGETHER):
         some = slice(first, first + TOGETHER)
-        laws = _curved([every[i] for i in bent[some]], [rough[i] for i in bent[some]], counts[some])
+        laws = _resolved([every[i] for i in bent[some]], [rough[i] for i in bent[some]], counts[some])
         found |= dict(zip(bent[some], laws, strict=True))
     joined = []
     for i, whole in enumerate(wholes):
         numbers = np.flatnonzero(of == i).tolist() if holds[i] else []
-        laws = [found[k] if k in found else _line(every[k]) for k in numbers]
+        laws = [found[k] for k in numbers]
         joined.append(_joined(laws, float(whole.lengths.sum())) if holds[i] else UNKNOWN)
     return joined
 
@@ -107,6 +121,11 @@ def _line(part: Part) -> Law:
     return Law(time, np.append(place, length), np.append(speed, 0.0), np.append(2.0 * half, 0.0))
 
 
+def _within_tips(part: Part, law: Law) -> bool:
+    """Whether a law along a part keeps the limits of tips."""
+    return part.tips is None or bool(part.tips.steepest(part.lengths, part.curve, FEWEST).max() * law.speed.max() <= 1.0)
+
+
 def _fastest(parts: Sequence[Part]) -> list[Rough]:
     """The times, places and speeds of the fastest motions without a limit of the jerk; those of as many pieces together."""
     sizes = [2 ** max(2, int(np.ceil(np.log2(len(part.lengths))))) for part in parts]
@@ -116,7 +135,8 @@ def _fastest(parts: Sequence[Part]) -> list[Rough]:
         pieces = [padded(JointPath(parts[i].lengths, parts[i].curve), size) for i in some]
         path = JointPath(np.stack([x.lengths for x in pieces]), np.stack([x.coefficients for x in pieces]))
         limits = Limits(*(np.stack(x) for x in zip(*(parts[i].limits for i in some), strict=True)))
-        timed = fastest_along(path, limits, parts[some[0]].drives, ROUGH, False)[2:]
+        tips = [each for i in some if (each := parts[i].tips) is not None] or None
+        timed = fastest_along(path, limits, parts[some[0]].drives, ROUGH, False, tips)[2:]
         found |= {i: row for i, *row in zip(some, *timed, strict=True)}  # type: ignore[misc]
     return [found[i] for i in range(len(parts))]
 
@@ -148,7 +168,7 @@ class _Turns:
         width = min(max(_rise(part, *rough), RISE * time[-1] / count), 0.5 * time[-1])
         self.part, self.count, self.number, self.ended = part, count, 0, False
         self.known = averaged(time, place, speed, width, count)
-        self.share = np.ones((len(FALLS), len(part.jerk), len(self.known.time)))
+        self.share = np.ones((len(FALLS), part.rows, len(self.known.time)))
         self.squares: np.ndarray | None = None
         self.laws: list[Law] = []
 
@@ -164,7 +184,8 @@ class _Turns:
         slower = float(np.max(uses.max(axis=(1, 2)) ** (1.0 / FALLS)))
         self.laws.append(law.slower(slower))
         self.number += 1
-        self.ended = self.number >= MOST or (self.number >= TURNS and slower < MISSED)
+        most, missed = (LATER, HELD) if _tips_most(self.part, uses) > BINDS else (MOST, MISSED)
+        self.ended = self.number >= most or (self.number >= TURNS and slower < missed)
         if not self.ended:
             self.share *= _left(uses, np.searchsorted(self.known.place, at), len(self.known.time))
 
@@ -174,7 +195,50 @@ class _Turns:
 
     @property
     def best(self) -> Law:
-        return min(self.laws, key=lambda law: float(law.time[-1]))
+        return min(self.laws, key=_lasts)
+
+
+def _resolved(parts: Sequence[Part], rough: Sequence[Rough], counts: Sequence[int]) -> list[Law]:
+    """The laws along parts, each in so many moments, from rough ones whose accelerations jump. What is shorter than a few of
+    them, as a sharp corner of a long path, would slow down all of it: so they are more until it is not, and where a tip has its
+    speed, as long as that is worth it."""
+    found, counts = _curved(parts, rough, counts), list(counts)
+    lasts = [float(time[-1]) for time, _, _ in rough]
+    most = [min(ALL, FINEST * time / _soonest(part, *each)) for part, each, time in zip(parts, rough, lasts, strict=True)]
+    gains = [np.inf if _binds(part, law) else 0.0 for part, law in zip(parts, found, strict=True)]
+    late = lambda i: counts[i] < most[i] and (_lasts(found[i]) > LONGER * lasts[i] or gains[i] > WORTH)
+    while open_ := [i for i in range(len(parts)) if late(i)]:
+        for i in open_:
+            counts[i] *= 2
+        again = _curved([parts[i] for i in open_], [rough[i] for i in open_], [counts[i] for i in open_])
+        for i, other in zip(open_, again, strict=True):
+            gains[i] = gains[i] and _lasts(found[i]) / _lasts(other) - 1.0
+            found[i] = min(found[i], other, key=_lasts)
+    return found
+
+
+def _binds(part: Part, law: Law) -> bool:
+    """Whether a tip has its speed somewhere."""
+    if part.tips is None or not np.isfinite(law.time).all():
+        return False
+    ((uses, _),) = used([part], [law])
+    return bool(_tips_most(part, uses) > BINDS)
+
+
+def _tips_most(part: Part, uses: np.ndarray) -> float:
+    """The greatest share of the limits of tips, of those that are used."""
+    return float(np.max(uses[0, len(part.jerk) :], initial=0.0))
+
+
+def _lasts(law: Law) -> float:
+    return float(law.time[-1])
+
+
+def _soonest(part: Part, time: np.ndarray, place: np.ndarray, speed: np.ndarray) -> float:
+    """The time [s] in which the jerk gives joints the rates that they have along a rough motion: that of the slowest one."""
+    piece, since = part.pieces_at(place)
+    rate = np.abs(along_pieces(part.curve[piece], since)[1] * speed[:, None]).max(axis=0)
+    return float(np.sqrt(np.max(rate / part.jerk))) or np.inf
 
 
 def _curved(parts: Sequence[Part], rough: Sequence[Rough], counts: Sequence[int]) -> list[Law]:

@@ -33,6 +33,8 @@ UNITS = {  # of a joint that turns, and of one that slides
     "jerk": "[rad/s3, m/s3]",
     "torque": "[Nm, N]",
     "power": "[W]",
+    "tip_speed": "[m/s]",
+    "tip_turn": "[rad/s]",
 }
 WITHIN = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # of a part, where torques are measured
 TURNS = 8  # in which limits settle
@@ -85,7 +87,7 @@ AnyLimits = Limits | JerkLimits
 
 
 def limit_of(who: str, name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """A limit, one of `UNITS` by name, in the `shape` (n,) of one motion, or (N, n) of many.
+    """A limit, one of `UNITS` by name, in the `shape` (n,) of one motion, a joint or a tip each, or (N, n) of many.
 
     Raises `ValueError`, `who` asking, for numbers that are not above zero, and for more of them or fewer.
     """

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.optimise.jerk_scaling import Known
+from jaxik.optimise.jerk_scaling import FASTEST, Known
 from jaxik.planning import limits as drive_limits
 from jaxik.planning.limits import WITHIN, Drives, Limits
+from jaxik.planning.tip_speed import TipLimits, most_between
 from jaxik.planning.trajectory import along_pieces
 from jaxik.planning.way_law import Law, after
 from jaxik.spmd import HostKernel
@@ -24,17 +25,18 @@ JUMP = 1e-9  # of a direction or a bend
 
 
 class Part(NamedTuple):
-    """Pieces (k,), (k, 4, n) between two stops, and what limits the motion along them, (n,) each."""
+    """Pieces (k,), (k, 4, n) between two stops, and what limits the motion along them, (n,) each, and that of the tips."""
 
     lengths: np.ndarray
     curve: np.ndarray
     limits: Limits
     jerk: np.ndarray
     drives: Drives | None
+    tips: TipLimits | None = None
 
     @property
     def straight(self) -> bool:
-        """Whether it is a line along which nothing but the joints' own limits counts."""
+        """Whether it is a line along which no drive's torque counts."""
         return self.drives is None and not self.curve[:, :2].any()
 
     def pieces_at(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -42,6 +44,11 @@ class Part(NamedTuple):
         ends = np.cumsum(self.lengths)
         piece = np.minimum(np.searchsorted(ends, s, side="right"), len(ends) - 1)
         return piece, np.clip(s - (ends - self.lengths)[piece], 0.0, self.lengths[piece])
+
+    @property
+    def rows(self) -> int:
+        """The number of joints and of limits of tips."""
+        return len(self.jerk) + (0 if self.tips is None else self.tips.size)
 
 
 def parts_of(whole: Part) -> list[Part]:
@@ -56,7 +63,12 @@ def parts_of(whole: Part) -> list[Part]:
         size = JUMP * (1.0 + max(np.abs(first).max(), np.abs(last).max()))
         jumps |= (np.abs(first[1:] - last[:-1]) > size).any(axis=1)
     stops = np.flatnonzero(jumps) + 1
-    return [whole._replace(lengths=h, curve=c) for h, c in zip(np.split(lengths, stops), np.split(curve, stops), strict=True)]
+    return [_some(whole, rows) for rows in np.split(kept, stops)]
+
+
+def _some(whole: Part, rows: np.ndarray) -> Part:
+    tips = None if whole.tips is None else whole.tips.of_pieces(rows)
+    return whole._replace(lengths=whole.lengths[rows], curve=whole.curve[rows], tips=tips)
 
 
 def known_motions(parts: Sequence[Part], laws: Sequence[Law], shares: Sequence[np.ndarray]) -> list[Known | None]:
@@ -99,33 +111,38 @@ def _known(
 ) -> Known | None:
     first, second, third = moved[0].T, moved[1].T, np.moveaxis(moved[2], 0, 2)
     columns = [np.stack([second, 0.5 * first]) / part.limits.acceleration[:, None]]
-    within = [np.stack([share[1]] * 2)]
+    n, (piece, since), top = len(part.jerk), place, np.inf
+    within = [np.stack([share[1, :n]] * 2)]
+    if part.tips is not None:
+        q, slope, _ = along_pieces(part.curve[piece], since)
+        used = part.tips.shares(q[:, None], slope[:, None] * law.speed[:, None, None], piece)[:, 0].T
+        top = 1.0 / np.maximum(np.max((used / share[0, n:]) ** 2, axis=0), 1.0 / FASTEST)
     if part.drives is not None:
-        piece, since = place
         by_change, by_square, still = drive_limits.along(part.drives, *along_pieces(part.curve[piece], since))
         v, a, torque = law.speed[:, None], law.acceleration[:, None], part.drives.torque
         still = still / torque
         if np.abs(still).max() >= 1.0:
             return None
         columns.append((np.stack([by_change * a + by_square * v**2, 0.5 * by_change * v]) / torque).swapaxes(1, 2))
-        within.append((np.stack([1.0 - still, 1.0 + still]) * share[3].T).swapaxes(1, 2))
+        within.append((np.stack([1.0 - still, 1.0 + still]) * share[3, :n].T).swapaxes(1, 2))
     linear, room = (np.concatenate(x, axis=1) for x in (columns, within))
-    velocity, most = part.limits.velocity[:, None] * share[0], part.jerk[:, None] * share[2]
-    return Known(float(law.time[1]), first, second, third, velocity, most, linear, room)
+    velocity, most = part.limits.velocity[:, None] * share[0, :n], part.jerk[:, None] * share[2, :n]
+    return Known(float(law.time[1]), first, second, third, velocity, most, linear, room, top)
 
 
 class _Cuts(NamedTuple):
     """The moments between which nothing jumps, of one law along a part: what `USED` takes of each interval between them, and
-    the place (i,) at its middle."""
+    the place (i,) at its middle, and the piece (i,) that is on."""
 
     rows: tuple[np.ndarray, ...]
     place: np.ndarray
+    piece: np.ndarray
 
 
 def used(parts: Sequence[Part], laws: Sequence[Law]) -> list[tuple[np.ndarray, np.ndarray]]:
     """The shares (4, n, i) of the limits of velocity, acceleration and jerk, and of what holding the arm leaves of the torques,
     between moments at which something jumps, and where that is (i,): at five moments, with room for what is between these.
-    Infinite where a drive cannot hold the arm."""
+    Infinite where a drive cannot hold the arm. Behind the joints' come those of the tips, which only have velocities."""
     cuts = [_cuts(part, law) for part, law in zip(parts, laws, strict=True)]
     (shares,) = in_blocks(USED, *map(np.concatenate, zip(*(each.rows for each in cuts), strict=True)), double=True)
     each = np.split(shares, np.cumsum([len(cut.place) for cut in cuts])[:-1])
@@ -133,7 +150,12 @@ def used(parts: Sequence[Part], laws: Sequence[Law]) -> list[tuple[np.ndarray, n
     for part, cut, share in zip(parts, cuts, each, strict=True):
         torque = np.zeros(share.shape[::2]) if part.drives is None else _by_torque(part, cut)
         most = np.stack([*part.limits, part.jerk])
-        found.append((np.concatenate([np.moveaxis(share / most, 0, 2), torque.T[None]]), cut.place))
+        shares = np.concatenate([np.moveaxis(share / most, 0, 2), torque.T[None]])
+        if part.tips is not None:
+            more = np.zeros((len(shares), part.tips.size, len(cut.place)))
+            more[0] = _by_tips(part, cut).T
+            shares = np.concatenate([shares, more], axis=1)
+        found.append((shares, cut.place))
     return found
 
 
@@ -147,7 +169,7 @@ def _cuts(part: Part, law: Law) -> _Cuts:
     piece = np.minimum(np.searchsorted(ends, place, side="right"), len(ends) - 1)
     columns = np.stack([state[0] - (ends - part.lengths)[piece], *state[1:]], axis=1)
     rows = part.curve[piece], part.lengths[piece], columns, first, lasts
-    return _Cuts(rows, place)
+    return _Cuts(rows, place, piece)
 
 
 def _used(curve: Any, length: Any, state: Any, first: Any, lasts: Any) -> Any:
@@ -169,12 +191,25 @@ def _used(curve: Any, length: Any, state: Any, first: Any, lasts: Any) -> Any:
 USED = HostKernel(_used, 5)
 
 
+def _states(cut: _Cuts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The way since the piece's beginning, its speed and acceleration (i, w) at the moments `WITHIN`."""
+    _, length, state, first, lasts = cut.rows
+    s, v, a = after(first[:, None] + lasts[:, None] * WITHIN, *state.T[..., None])
+    return np.clip(s, 0.0, length[:, None]), v, a
+
+
+def _by_tips(part: Part, cut: _Cuts) -> np.ndarray:
+    """The share (i, t) of the limits of tips."""
+    assert part.tips is not None
+    s, v, _ = _states(cut)
+    q, slope, _ = along_pieces(cut.rows[0][:, None], s)
+    return most_between(part.tips.shares(q, slope * v[..., None], cut.piece))
+
+
 def _by_torque(part: Part, cut: _Cuts) -> np.ndarray:
     """The share (i, n) of what torques leave to motion that it takes; infinite where they leave nothing."""
     assert part.drives is not None
-    curve, length, state, first, lasts = cut.rows
-    s, v, a = after(first[:, None] + lasts[:, None] * WITHIN, *state.T[..., None])
-    s = np.clip(s, 0.0, length[:, None])
+    curve, (s, v, a) = cut.rows[0], _states(cut)
     by_change, by_square, still = drive_limits.along(part.drives, *along_pieces(curve[:, None], s))
     return _of_torque(by_change * a[..., None] + by_square * v[..., None] ** 2, still, part.drives.torque)
 

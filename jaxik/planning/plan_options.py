@@ -6,10 +6,21 @@ from typing import Any, Literal
 
 from jaxik.kinematics.task import POSE, Task
 from jaxik.kinematics.tasks import check_given
-from jaxik.options import Options, choice, count, flag, instance, names, number, pair, per_joint
+from jaxik.options import Options, choice, count, flag, instance, names, number, pair, per_joint, per_tip
 
 
-class LimitOptions(Options):
+class TipOptions(Options):
+    """The limits of how fast a robot's tips move."""
+
+    tip_speed: Any = per_tip(
+        default=None, unit="m/s", words="limits of the tips' speed, one number or one a tip; None is no limit"
+    )
+    tip_turn: Any = per_tip(
+        default=None, unit="rad/s", words="limits of how fast the tips turn, one number or one a tip; None is no limit"
+    )
+
+
+class LimitOptions(TipOptions):
     """The limits of a motion's timing."""
 
     velocity: Any = per_joint(

@@ -18,6 +18,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.planning.cells import JOINTS, separated
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.escape import escaped, led_out
+from jaxik.planning.fastest_timing import fastest_along
 from jaxik.planning.goal_search import searched
 from jaxik.planning.improvement import improved
 from jaxik.planning.jerk_timing import smooth_laws
@@ -31,7 +32,7 @@ from jaxik.planning.plan_options import PlanOptions
 from jaxik.planning.plan_result import Place, PlanResult
 from jaxik.planning.sooner import sooner
 from jaxik.planning.standing import check_standing, moving_joints, one_tip, standing_postures, stood, tip_that_moves
-from jaxik.planning.timing import time_path
+from jaxik.planning.tip_speed import TipLimits, tip_limits
 from jaxik.planning.trajectory import JointPath, Trajectory, padded
 from jaxik.planning.ways import LOOKS, blended
 from jaxik.reasons import Reason
@@ -51,11 +52,11 @@ def plan_motion(
     **changes: Any,
 ) -> PlanResult:
     """A motion from `start` (n,) to `goal`, at rest at both, that keeps the margin to the scene and to the robot itself on its
-    whole way, not at samples, and the limits of position, velocity and acceleration, and of `jerk`, where there is one. Host
-    driver.
+    whole way, not at samples, and the limits of position, velocity and acceleration, and of `jerk`, `tip_speed` and `tip_turn`,
+    where there are any. Host driver.
 
     `goal` is a configuration (n,), several (g, n), of which the one that is reached soonest is taken, by straight lines within
-    all limits, as far as as much search again as for the first one tells, or a pose `base_T_tip` (4, 4) [m], for which
+    the joints' limits, as far as as much search again as for the first one tells, or a pose `base_T_tip` (4, 4) [m], for which
     `solve_ik` finds postures, and of which the one that is found first is taken; where the start has it, nothing moves. Many
     starts (b, n) have goals (b, n), (b, g, n), filled up with NaN, poses (b, 4, 4), or several poses each (b, g, 4, 4), and a
     list of b scenes, one each; one start, goal, pose or scene may serve all. Each motion is as it is alone, whatever becomes of
@@ -115,7 +116,8 @@ def _planned(
     """Plans each of the problems, of which what all have in common is asked once: postures, straight lines, the timing."""
     limits = motion_limits("plan_motion", robot, options.velocity, options.acceleration, (robot.num_joints,))
     jerk = None if options.jerk is None else limit_of("plan_motion", "jerk", options.jerk, (robot.num_joints,))
-    pace = limits.within(jerk)
+    tips = tip_limits("plan_motion", robot, options.tip_speed, options.tip_turn)
+    pace, timing = limits.within(jerk), Pace(limits, jerk, tips, options.places)
     moves = moving_joints("plan_motion", robot, options.moving)
     space = CollisionChecker(robot, scene, options.margin, winding=options.winding, moves=moves)
     space.prepare()
@@ -126,7 +128,7 @@ def _planned(
     answers = _goals(robot, scene, space, starts, asked, seed, options, pace, along)
     goals, free, ended = admitted(robot, space, starts, answers, among)
     if along is not None:
-        return _kept(robot, space, along, places, asked, goals, free, ended, seed, options, limits, jerk, progress, among)
+        return _kept(robot, space, along, places, asked, goals, free, ended, seed, options, timing, progress, among)
     ways = _straight(space, starts, goals, free, pace, among)
     total = options.rounds if asked.single else len(starts)
     tell = progress or (lambda done, total: None)
@@ -136,7 +138,7 @@ def _planned(
         space, places, ways, starts, sought, ended, asked.poses is None, escapes, seed, options, pace, told, among
     )
     stood(space, ways, starts)
-    finish = Finish(space, limits, jerk, options.places, escapes, among)
+    finish = Finish(space, timing, escapes, among)
     if options.improve:
         _improve(finish, ways, seed, options)
     reach = arrived(robot, ways, goals if asked.poses is not None else asked.goals, asked, options.postures)
@@ -164,8 +166,7 @@ def _kept(
     ended: Ended,
     seed: int,
     options: PlanOptions,
-    limits: Limits,
-    jerk: np.ndarray | None,
+    pace: Pace,
     progress: Callable[[int, int], Any] | None,
     among: np.ndarray,
 ) -> PlanResult:
@@ -174,14 +175,14 @@ def _kept(
     sought = [each[some] for each, some in zip(goals, free, strict=True)]
     told = lambda taken, done: progress(*((taken, options.rounds) if asked.single else (done, count))) if progress else None
     off = _off_tasks(along, starts, sought, ended)
-    lasts = lambda path: float(timed(robot, [_of_a_power(path)], limits, jerk, options.places)[0].duration)
+    lasts = lambda path: float(timed(robot, [_of_a_power(path)], pace)[0].duration)
     long = lambda points: float(space.length(np.diff(points, axis=0)).sum())
     cost = lambda path, points: lasts(path) if options.improves == "time" else long(points)
     better = (lambda problem: improve(problem, seed, float(options.improve or 0.0), cost)) if options.improve else None
     found = kept_ways(space, along, starts, sought, seed, options.rounds, options.timeout, among, told, better)
     moved = [i for i, path in enumerate(found.paths) if path is not None]
     paths = [_of_a_power(path) for path in found.paths if path is not None]
-    motions = dict(zip(moved, timed(robot, paths, limits, jerk, options.places), strict=True))
+    motions = dict(zip(moved, timed(robot, paths, pace), strict=True))
     for i, gap in enumerate(found.gaps):
         if gap is not None:
             ended.reason[i], ended.stuck[i] = int(Reason.NOT_CONVERGED), gap
@@ -189,7 +190,7 @@ def _kept(
     for i, way in enumerate(found.ways):
         if way is not None:
             away = sought[i] - starts[i]
-            bounds[i], least[i] = space.length(away).min(), limits.least(away).min()
+            bounds[i], least[i] = space.length(away).min(), pace.limits.least(away).min()
             lengths[i] = long(way)
     told_of = ended.reason, tuple(ended.where), tuple(found.ways), tuple(motions.get(i) for i in range(count)), lengths, bounds
     reach = arrived(robot, found.ways, goals if asked.poses is not None else asked.goals, asked, options.postures)
@@ -265,14 +266,21 @@ def _search(
     return rounds, checked
 
 
-class Finish(NamedTuple):
-    """How ways become motions: the limits and the `places` of their timing, and by number those out of a collision that lead to
-    them; each is `among` what is in the scene of such a number (b,)."""
+class Pace(NamedTuple):
+    """How motions are timed: their limits, and at how many `places`."""
 
-    space: CollisionChecker
     limits: Limits
     jerk: np.ndarray | None
+    tips: TipLimits | None
     places: int
+
+
+class Finish(NamedTuple):
+    """How ways become motions: their pace, and by number those out of a collision that lead to them; each is `among` what is in
+    the scene of such a number (b,)."""
+
+    space: CollisionChecker
+    pace: Pace
     escapes: dict[int, np.ndarray]
     among: np.ndarray
 
@@ -282,8 +290,8 @@ class Finish(NamedTuple):
 
     def motions(self, rows: list[int], ways: Sequence[np.ndarray]) -> list[Trajectory]:
         """The motions along whole ways of such rows."""
-        paths = rounded(self.space, list(ways), self.among[rows], smooth=self.jerk is not None)
-        return timed(self.space.robot, paths, self.limits, self.jerk, self.places)
+        paths = rounded(self.space, list(ways), self.among[rows], smooth=self.pace.jerk is not None)
+        return timed(self.space.robot, paths, self.pace)
 
     def lasting(self, rows: list[int], ways: Sequence[np.ndarray]) -> np.ndarray:
         """The times of the motions along ways of such rows [s]."""
@@ -426,21 +434,20 @@ def rounded(space: CollisionChecker, ways: list[np.ndarray], among: np.ndarray, 
     return [padded(paths[i], 2 ** max(2, int(np.ceil(np.log2(len(paths[i].lengths)))))) for i in range(len(ways))]
 
 
-def timed(robot: Robot, paths: list[JointPath], limits: Limits, jerk: np.ndarray | None, places: int) -> list[Trajectory]:
+def timed(robot: Robot, paths: list[JointPath], pace: Pace) -> list[Trajectory]:
     """Times the paths, those of as many pieces together; all together within a limit of the jerk."""
+    limits, jerk, tips, places = pace
     if jerk is not None:
-        parts = [Part(np.asarray(path.lengths), np.asarray(path.coefficients), limits, jerk, None) for path in paths]
+        parts = [Part(np.asarray(path.lengths), np.asarray(path.coefficients), limits, jerk, None, tips) for path in paths]
         laws = zip(paths, smooth_laws(parts, 2 * places), strict=True)
         return [Trajectory(path, *law[:3], robot.joint_names, law.acceleration) for path, law in laws]
     motions: dict[int, Trajectory] = {}
     pieces = np.array([len(path.lengths) for path in paths], int)
     for size in np.unique(pieces):
         rows = np.flatnonzero(pieces == size)
-        if len(rows) == 1:  # it need not be stacked
-            motions[rows[0]] = time_path(paths[rows[0]], **limits._asdict(), places=places, robot=robot)
-            continue
         stack = jax.tree_util.tree_map(lambda *x: np.stack(x), *(paths[i] for i in rows))
-        together = time_path(stack, **limits._asdict(), places=places, robot=robot)
-        for k, i in enumerate(rows.tolist()):
-            motions[i] = jax.tree_util.tree_map(lambda x, k=k: x[k], together)
+        every = Limits(*(np.broadcast_to(limit, (len(rows), robot.num_joints)) for limit in limits))
+        found = fastest_along(stack, every, None, places, False, None if tips is None else [tips] * len(rows))
+        for i, lengths, curve, when, place, speed in zip(rows.tolist(), *found, strict=True):
+            motions[i] = Trajectory(JointPath(lengths, curve), when, place, speed, robot.joint_names)
     return [motions[i] for i in range(len(paths))]

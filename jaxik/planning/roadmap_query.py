@@ -18,8 +18,9 @@ from jaxik.planning.limits import AnyLimits, Limits, limit_of, motion_limits
 from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, reached, turned
 from jaxik.planning.plan_options import LimitOptions
 from jaxik.planning.plan_result import Place, PlanResult
-from jaxik.planning.planner import admitted, arrived, rounded, timed
+from jaxik.planning.planner import Pace, admitted, arrived, rounded, timed
 from jaxik.planning.roadmap_graph import Graph, Joined, unwound
+from jaxik.planning.tip_speed import tip_limits
 from jaxik.planning.ways import LOOKS, proven_ways, shortened
 from jaxik.reasons import Reason
 
@@ -68,6 +69,7 @@ class Queries:
         """The answer of `Roadmap.plan`."""
         asked = ends("Roadmap.plan", self.robot, start, goal, several_poses=True)
         limits, jerk = self._limits("Roadmap.plan", options)
+        tips = tip_limits("Roadmap.plan", self.robot, options.tip_speed, options.tip_turn)
         found = self._ways(asked, seed, options, limits.within(jerk), {})
         ways, checked = list(found.waypoints), found.checked.copy()
         bent = [i for i, way in enumerate(ways) if way is not None and len(way) > 2]
@@ -80,7 +82,7 @@ class Queries:
                 ways[i] = ways[i] if way is None else way
         solved = [way for way in ways if way is not None]
         paths = rounded(self.space, solved, np.zeros(len(solved), int), smooth=jerk is not None) if solved else []
-        motions = iter(timed(self.robot, paths, limits, jerk, options.places))
+        motions = iter(timed(self.robot, paths, Pace(limits, jerk, tips, options.places)))
         trajectories = tuple(None if way is None else next(motions) for way in ways)
         changes = {"trajectory": trajectories, "length": self._lengths(ways), "checked": checked}
         result = dataclasses.replace(found, waypoints=tuple(ways), **changes)

@@ -28,13 +28,15 @@ from jaxik.planning.fastest_timing import fastest_along
 from jaxik.planning.jerk_timing import smooth_along
 from jaxik.planning.limits import UNITS, Drives, Limits, limit_of, motion_limits
 from jaxik.planning.s_curve import double_s, integrated
+from jaxik.planning.tip_speed import TipLimits, tip_limits
 from jaxik.planning.trajectory import JointPath, Trajectory, straight
 
+LINE = 16  # parts of a line, along which the tips' speed is measured
 Profile = Literal["fastest", "trapezoidal", "s_curve", "quintic"]
 OPTIONS = {  # which each profile has beside limits of velocity and acceleration
-    "fastest": ("jerk", "places", "torque", "power"),
-    "trapezoidal": ("duration",),
-    "s_curve": ("jerk", "duration"),
+    "fastest": ("jerk", "places", "torque", "power", "tip_speed", "tip_turn"),
+    "trapezoidal": ("duration", "tip_speed", "tip_turn"),
+    "s_curve": ("jerk", "duration", "tip_speed", "tip_turn"),
     "quintic": ("jerk", "duration"),
 }
 
@@ -49,6 +51,8 @@ def time_path(
     duration: Any = None,
     places: int | None = None,
     robot: Robot | None = None,
+    tip_speed: Any = None,
+    tip_turn: Any = None,
     torque: Any = None,
     power: Any = None,
     gravity: Any = GRAVITY,
@@ -63,12 +67,15 @@ def time_path(
         Within a jerk limit the fastest motion begins and ends without acceleration, stops where the path's direction or
         curvature jumps, as at a parabola's ends, and takes some 1.5 % more along a planned path than with 3,000 places.
     duration: () or (N,) [s], to which a profile is drawn out evenly.
+    tip_speed, tip_turn: limits of how fast the `robot`'s tips move [m/s] and turn [rad/s] in its base, one number or one a tip,
+        at every moment: measured five times from place to place, with room for what is between these. The profiles that
+        stop drive each line so slowly throughout.
     torque, power: limits of the `robot`'s joints, (n,) or one number, at the places and three moments between: torque
         [Nm, N], such as `robot.effort`, and |torque rate| [W], by `inverse_dynamics` in `gravity`, without friction.
     places: number of places at which the speed is chosen, spread evenly over the pieces, eight a piece or more; None is 125 a
         piece, and no fewer than 500; within a jerk limit of moments, spread evenly in time, 64 between stops or more, and None
-        is 300. Random splines of 3 to 300 waypoints take 0.8 % more than the least time at 125 a piece
-        (at most 2 %), twice that at half as many.
+        is 300, halved where a corner is shorter than they tell. Random splines of 3 to 300 waypoints take 0.8 % more than the
+        least time at 125 a piece (at most 2 %), twice that at half as many.
 
     All joints begin and end together. Stacked paths, with leaves (N, ...), stacks of waypoints (N, k, n), and rows (N, n) of
     limits are timed together. With NaN (`reason` INVALID), and in a stack where the drives cannot hold the arm still (LIMITS),
@@ -82,6 +89,7 @@ def time_path(
     check_choices("time_path", profile=(profile, Profile))
     check_kind("time_path", "robot", robot, Robot, optional=True)
     own = {"jerk": jerk, "duration": duration, "places": places, "torque": torque, "power": power}
+    own |= {"tip_speed": tip_speed, "tip_turn": tip_turn}
     for name, value in own.items():
         if value is not None and name not in OPTIONS[profile]:
             having = ", ".join(f"'{other}'" for other, names in OPTIONS.items() if name in names)
@@ -99,13 +107,15 @@ def time_path(
         raise ValueError(f"time_path: a path of {n} joints, and {robot.name} has {robot.num_joints}")
     drives = _drives(robot, torque, power, gravity)
     limits = motion_limits("time_path", robot, velocity, acceleration, (count, n), drives is not None)
+    tip = tip_limits("time_path", robot, tip_speed, tip_turn)
+    tips = None if tip is None else [tip] * count
     if profile != "fastest":
-        found = _profiled(profile, given, limits, jerk, duration, single)
+        found = _profiled(profile, given, limits, tip, jerk, duration, single)
     elif jerk is None:
-        found = fastest_along(_joined(given), limits, drives, places, single)
+        found = fastest_along(_joined(given), limits, drives, places, single, tips)
     else:
         most = limit_of("time_path", "jerk", jerk, (count, n))
-        found = smooth_along(_joined(given), limits, most, drives, places, single)
+        found = smooth_along(_joined(given), limits, most, drives, places, single, tips)
     lengths, curves, *timing = (x[0] for x in found) if single else found
     names = () if robot is None else robot.joint_names
     time, place, speed, *rate = timing
@@ -152,7 +162,7 @@ def _drives(robot: Robot | None, torque: Any, power: Any, gravity: Any) -> Drive
 
 
 def _profiled(
-    profile: str, points: np.ndarray, limits: Limits, jerk: Any, duration: Any, single: bool
+    profile: str, points: np.ndarray, limits: Limits, tip: TipLimits | None, jerk: Any, duration: Any, single: bool
 ) -> tuple[np.ndarray, ...]:
     """The same of a profile through waypoints (N, k, n) within limits (N, n), the `jerk` (n,), one number or None.
 
@@ -166,7 +176,7 @@ def _profiled(
             allowed = "one number" if single else f"one number or ({len(points)},)"
             raise ValueError(f"time_path: duration is {shown(duration)}; allowed: {allowed} [s], above zero")
         asked = np.broadcast_to(asked, len(points))
-    found = _quintic(points, three, single) if profile == "quintic" else _from_rest_to_rest(points, three)
+    found = _quintic(points, three, single) if profile == "quintic" else _from_rest_to_rest(points, three, tip)
     return _drawn_out(*found, asked, single)
 
 
@@ -207,11 +217,18 @@ def _smoothest(times: np.ndarray, points: np.ndarray, limits: list[np.ndarray]) 
     return np.moveaxis(pieces, 0, 1), slower
 
 
-def _from_rest_to_rest(points: np.ndarray, limits: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _from_rest_to_rest(
+    points: np.ndarray, limits: list[np.ndarray], tip: TipLimits | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cubics (N, 7 (k-1), 4, n) over the seven phases (N, 7 (k-1)) of each line, which are not to be drawn out."""
     steps = np.diff(points, axis=1)[:, :, None, None]  # (N, lines, 1, 1, n)
     with np.errstate(divide="ignore"):  # a joint that does not move has nothing to say
         most = [np.min(limit[:, None] / np.abs(steps[:, :, 0, 0]), axis=-1) for limit in limits]
+    if tip is not None:
+        lines = straight(points)
+        slopes = [tip.steepest(*each, LINE).max(axis=1) for each in zip(lines.lengths, lines.coefficients, strict=True)]
+        with np.errstate(divide="ignore"):
+            most[0] = np.minimum(most[0], 1.0 / (np.array(slopes) * lines.lengths))
     phases, greatest = double_s(*most)
     curves = integrated(phases, greatest)[..., None] * steps
     curves[..., -1, :] += points[:, :-1, None]

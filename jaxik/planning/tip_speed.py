@@ -1,8 +1,8 @@
-"""Limits of the tip's speed in the timing of a path: how far the tip has come is one more joint, with a limit of its own.
+"""Limits of how fast a robot's tips move and turn, in the timing of a path.
 
-Along q(s) the tip moves by |p'(s)| and turns by |omega(s)| a unit of s. The cubic spline a(s) with the greatest slopes about
-its knots is a coordinate like a joint's, and `|a'| ds/dt <= limit` is what every timing keeps of a joint. It is drawn up by the
-most that the slopes between its knots exceed its own.
+Along q(s) a tip moves by |p'(s)| and turns by |omega(s)| a unit of s, so that `|p'| ds/dt <= limit` is a limit of ds/dt alone,
+as that of a joint's velocity is. It is measured at places along the path; the most between two of them is that of a curve
+through them, with room for how far it bends from its chords. So it is kept at every moment, though no bound proves it.
 """
 
 from __future__ import annotations
@@ -14,119 +14,88 @@ import numpy as np
 
 from jaxik.kinematics.forward import jacobian_columns, joint_frames
 from jaxik.kinematics.robot import Robot
-from jaxik.planning.limits import Limits
-from jaxik.planning.trajectory import JointPath, along_pieces
+from jaxik.planning.limits import limit_of, off_chords
+from jaxik.planning.trajectory import along_pieces
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
-FREE = 1e9  # acceleration and jerk of what only has a speed limit
-TRAVEL = 0.1  # [rad, m] that joints move between knots
-JUMP = 1e-9  # of a direction
-BETWEEN = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-BESIDE = 2.0  # median pieces, within which the greatest slope counts: a dip at a corner would make the spline swing
+WITHIN = 4  # samples of a part
 
 
 class TipLimits(NamedTuple):
-    """The most that a tip of such a number moves [m/s] and turns [rad/s]; None is no limit."""
+    """The most (k, t, 2) that some tips of a robot, by number, move [m/s] and turn [rad/s] on each piece of a path, or on all
+    pieces (1, t, 2); infinite where that is not limited."""
 
-    tip: int
-    speed: float | None
-    turn: float | None
+    robot: Robot
+    tips: tuple[int, ...]
+    most: np.ndarray
 
     @property
-    def wanted(self) -> list[tuple[int, float]]:
-        """The numbers of the two that are limited, with their limits."""
-        return [(i, float(most)) for i, most in enumerate((self.speed, self.turn)) if most is not None]
+    def size(self) -> int:
+        """The number of limits."""
+        return 2 * len(self.tips)
+
+    def of_pieces(self, pieces: np.ndarray) -> TipLimits:
+        """The limits of some of the pieces, by number; pieces behind the last are as it is."""
+        return self._replace(most=self.most[np.minimum(pieces, len(self.most) - 1)])
+
+    def shares(self, q: np.ndarray, rate: np.ndarray, pieces: np.ndarray) -> np.ndarray:
+        """The share of each limit (k, i, 2 t) that rates of the joints take at configurations (k, i, n) on such pieces (k,)."""
+        rows = lambda x: x.reshape(-1, x.shape[-1])
+        found = in_blocks(_rates(self.robot, self.tips), rows(q), rows(rate), double=True)[0]
+        most = self.of_pieces(pieces).most[:, None]
+        return (found.reshape(*q.shape[:2], len(self.tips), 2) / most).reshape(*q.shape[:2], self.size)
+
+    def steepest(self, lengths: np.ndarray, curve: np.ndarray, parts: int) -> np.ndarray:
+        """The most (k, parts) by which any share grows with s on each part of pieces (k,), (k, c, n)."""
+        q, slope, _ = along_pieces(curve[:, None], lengths[:, None] * np.linspace(0.0, 1.0, WITHIN * parts + 1))
+        shares = self.shares(q, slope, np.arange(len(lengths)))
+        inner = shares[:, :-1].reshape(len(lengths), parts, WITHIN, -1)
+        return most_between(np.concatenate([inner, shares[:, WITHIN::WITHIN, None]], axis=2)).max(axis=2)
+
+    def squares(self, lengths: np.ndarray, curve: np.ndarray, parts: int) -> np.ndarray:
+        """The greatest (ds/dt)^2 (k parts,) on the parts of pieces (k,), (k, c, n)."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return 1.0 / self.steepest(lengths, curve, parts).ravel() ** 2
 
 
-def tipped(
-    robot: Robot, path: JointPath, limits: Limits, jerk: np.ndarray | None, tip: TipLimits, where: np.ndarray | None = None
-) -> tuple[JointPath, Limits, np.ndarray | None]:
-    """The path with a joint more for each limit of the tip, its pieces cut where they are long, and the limits (n + k,) of all;
-    the tip's hold on the pieces `where` (p,) is true, on all if it is None."""
-    if not tip.wanted:
-        return path, limits, jerk
-    path, number = _cut(path)
-    held = np.ones(len(number), bool) if where is None else where[number]
-    slopes = _slopes(robot, tip.tip, path)
-    columns, lengths = [], np.asarray(path.lengths)
-    for i, _ in tip.wanted:
-        columns.append(_coordinate(path, slopes[:, :, i], held))
-    curve = np.concatenate([np.asarray(path.coefficients), np.stack(columns, axis=2)], axis=2)
-    free = [FREE] * len(columns)
-    both = Limits(np.append(limits.velocity, [most for _, most in tip.wanted]), np.append(limits.acceleration, free))
-    return JointPath(lengths, curve), both, None if jerk is None else np.append(jerk, free)
+def tip_limits(who: str, robot: Robot | None, speed: Any, turn: Any) -> TipLimits | None:
+    """The limits of a robot's tips, each one number or one a tip, None where there are none. Raises `ValueError`, `who` asking,
+    as `limit_of` does, and where no robot is given."""
+    given = {"tip_speed": speed, "tip_turn": turn}
+    if all(x is None for x in given.values()):
+        return None
+    if robot is None:
+        name = next(name for name, x in given.items() if x is not None)
+        raise ValueError(f"{who}: {name} is of a robot's tips; write robot=")
+    shape = (len(robot.tips),)
+    most = np.stack([limit_of(who, name, np.inf if x is None else x, shape) for name, x in given.items()], axis=1)
+    return of_tips(robot, most[None])
 
 
-def _cut(path: JointPath) -> tuple[JointPath, np.ndarray]:
-    """The same path in pieces on which no joint moves far, and the piece (k,) that each was in."""
-    lengths, curve = np.asarray(path.lengths), np.asarray(path.coefficients)
-    middle = [np.abs(along_pieces(curve, share * lengths)[1]).max(axis=1) for share in (0.0, 0.5, 1.0)]
-    counts = np.maximum(1, np.ceil(np.max(middle, axis=0) * lengths / TRAVEL)).astype(int)
-    number = np.repeat(np.arange(len(counts)), counts)
-    step = (lengths / counts)[number]
-    x = (step * (np.arange(len(number)) - np.repeat(np.cumsum(counts) - counts, counts)))[:, None]
-    cubic, square, linear, constant = np.moveaxis(curve[number], 1, 0)
-    shifted = [
-        cubic,
-        square + 3.0 * cubic * x,
-        linear + (2.0 * square + 3.0 * cubic * x) * x,
-        constant + (linear + (square + cubic * x) * x) * x,
-    ]
-    return JointPath(step, np.stack(shifted, axis=1)), number
+def of_tips(robot: Robot, most: np.ndarray) -> TipLimits | None:
+    """The limits (k, t, 2) of all of a robot's tips, without those that have none anywhere; None where none has."""
+    some = np.flatnonzero(np.isfinite(most).any(axis=(0, 2)))
+    return TipLimits(robot, tuple(some.tolist()), most[:, some]) if len(some) else None
 
 
-def _slopes(robot: Robot, tip: int, path: JointPath) -> np.ndarray:
-    """How fast the tip moves and turns by s (k, 5, 2), at five places of each piece."""
-    lengths, curve = np.asarray(path.lengths), np.asarray(path.coefficients)
-    q, slope, _ = along_pieces(curve[:, None], lengths[:, None] * BETWEEN)
-    rows = lambda x: x.reshape(-1, x.shape[-1])
-    return tip_rates(robot, tip, rows(q), rows(slope)).reshape(*q.shape[:2], 2)
+def most_between(values: np.ndarray) -> np.ndarray:
+    """The most (..., m) of curves through values (..., w, m) >= 0 at even places, between these, too."""
+    return values.max(axis=-2) + off_chords(values)
 
 
 def tip_rates(robot: Robot, tip: int, q: Any, rate: Any) -> np.ndarray:
     """How fast a tip moves and turns (b, 2) [m, rad] at such configurations and rates of the joints (b, n)."""
-    return in_blocks(_speeds(robot, tip), q, rate, double=True)[0]
+    return in_blocks(_rates(robot, (tip,)), q, rate, double=True)[0][:, 0]
 
 
 @host_kernels(2)
-def _speeds(robot: Robot, tip: int, q: Any, slope: Any) -> Any:
-    columns = jacobian_columns(robot, joint_frames(robot, list(q), dtype=q.dtype), tip)
-    moved = [sum(column[i] * slope[j] for j, column in enumerate(columns)) for i in range(6)]
+def _rates(robot: Robot, tips: tuple[int, ...], q: Any, rate: Any) -> Any:
+    frames = joint_frames(robot, list(q), dtype=q.dtype)
     size = lambda values: jnp.sqrt(sum(x * x for x in values))
-    return jnp.stack([size(moved[:3]), size(moved[3:])])
-
-
-def _coordinate(path: JointPath, slopes: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """The coefficients (k, 4) of a cubic spline with such slopes (k, 5) where they are to be `held` (k,), and a constant
-    elsewhere; part by part, between places where the path's direction jumps."""
-    from scipy.interpolate import CubicSpline
-
-    lengths, curve = np.asarray(path.lengths), np.asarray(path.coefficients)
-    first, last = along_pieces(curve, np.zeros_like(lengths))[1], along_pieces(curve, lengths)[1]
-    size = JUMP * (1.0 + np.abs(last[:-1]).max(axis=1, initial=0.0))
-    jumps = (np.abs(first[1:] - last[:-1]).max(axis=1, initial=0.0) > size) | (held[1:] != held[:-1])
-    found = np.zeros((len(lengths), 4))
-    for rows in np.split(np.arange(len(lengths)), np.flatnonzero(jumps) + 1):
-        rows = rows[lengths[rows] > 0.0]
-        if not len(rows) or not held[rows[0]] or not slopes[rows].any():
-            continue
-        knots = np.concatenate([[0.0], np.cumsum(lengths[rows])])
-        most = _envelope(knots, slopes[rows].max(axis=1))
-        moved = np.concatenate([[0.0], np.cumsum(lengths[rows] * 0.5 * (most[1:] + most[:-1]))])
-        ends = (1, most[0]), (1, most[-1])
-        c = CubicSpline(knots, moved, bc_type=ends).c.T
-        x = lengths[rows][:, None] * BETWEEN
-        own = (3.0 * c[:, :1] * x + 2.0 * c[:, 1:2]) * x + c[:, 2:3]
-        large = slopes[rows] > 1e-3 * slopes[rows].max()
-        found[rows] = c * max(1.0, float(np.max(np.where(large, slopes[rows] / np.maximum(np.abs(own), 1e-12), 0.0))))
-    return found
-
-
-def _envelope(knots: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """The greatest of the pieces' slopes (k,) about each of their knots (k + 1,)."""
-    reach = BESIDE * float(np.median(np.diff(knots)))
-    low = np.maximum(np.searchsorted(knots, knots - reach, "right") - 2, 0)
-    high = np.minimum(np.searchsorted(knots, knots + reach, "left") + 1, len(slopes))
-    pairs = np.stack([low, np.maximum(high, low + 1)], axis=1).ravel()
-    return np.maximum.reduceat(np.append(slopes, -np.inf), np.minimum(pairs, len(slopes)))[::2]
+    found = []
+    for tip in tips:
+        columns = jacobian_columns(robot, frames, tip)
+        moved = [sum(column[i] * rate[j] for j, column in enumerate(columns)) for i in range(6)]
+        found.append(jnp.stack([size(moved[:3]), size(moved[3:])]))
+    return jnp.stack(found)

@@ -22,6 +22,7 @@ from jaxik.kinematics.joint_turns import TURN
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.limits import limit_of, motion_limits
+from jaxik.planning.tip_speed import tip_limits
 from jaxik.planning.tool_candidates import Candidates, Free, candidates
 from jaxik.planning.tool_choice import Chosen, Steps, chosen
 from jaxik.planning.tool_follow import Followed
@@ -257,7 +258,8 @@ def _timed(asked: Asked, parts: Sequence[Proven], whole: Joined) -> PathResult:
     limits = motion_limits("plan_path", robot, options.velocity, options.acceleration, (1, robot.num_joints))
     jerk = None if options.jerk is None else limit_of("plan_path", "jerk", options.jerk, (robot.num_joints,))
     one = type(limits)(*(x[0] for x in limits))
-    timing = timed_tool(robot, follow.tasks.ends[0][1], whole, one, jerk, options.feed, options.turn)
+    tips = tip_limits("plan_path", robot, options.tip_speed, options.tip_turn)
+    timing = timed_tool(robot, follow.tasks.ends[0][1], whole, one, jerk, tips, (options.feed, options.turn))
     q, number = _at_given(line, parts)
     at, feed = timing.passed(whole.places(given, number))
     slides = np.array(robot.is_prismatic)

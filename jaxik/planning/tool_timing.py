@@ -11,7 +11,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.planning.fastest_timing import fastest_along
 from jaxik.planning.jerk_timing import smooth_along
 from jaxik.planning.limits import Limits
-from jaxik.planning.tip_speed import TipLimits, tip_rates, tipped
+from jaxik.planning.tip_speed import TipLimits, of_tips, tip_rates
 from jaxik.planning.tool_lift import Joined
 from jaxik.planning.tool_line import ToolLine
 from jaxik.planning.tool_result import Arc
@@ -59,20 +59,39 @@ class Timing(NamedTuple):
 
 
 def timed_tool(
-    robot: Robot, tip: int, whole: Joined, limits: Limits, jerk: np.ndarray | None, feed: float | None, turn: float | None
+    robot: Robot,
+    tip: int,
+    whole: Joined,
+    limits: Limits,
+    jerk: np.ndarray | None,
+    tips: TipLimits | None,
+    on_path: tuple[float | None, float | None],
 ) -> Timing:
-    """The least time along the whole, from rest to rest, within limits (n,), and those of the tip where it is on its path."""
-    n = robot.num_joints
-    path, within, jerks = tipped(robot, whole.path, limits, jerk, TipLimits(tip, feed, turn), whole.tool)
-    stacked = JointPath(np.asarray(path.lengths)[None], np.asarray(path.coefficients)[None])
-    rows, count = Limits(*(x[None] for x in within)), len(path.lengths)
-    if jerks is None:
-        found = fastest_along(stacked, rows, None, PLACES * count, False)
+    """The least time along the whole, from rest to rest, within limits (n,), those of all tips, and how fast the tip may move
+    and turn where it is on its path."""
+    stacked = JointPath(np.asarray(whole.path.lengths)[None], np.asarray(whole.path.coefficients)[None])
+    rows, count = Limits(*(x[None] for x in limits)), len(whole.path.lengths)
+    within = _within(robot, tip, whole.tool, tips, on_path)
+    each = None if within is None else [within]
+    if jerk is None:
+        found = fastest_along(stacked, rows, None, PLACES * count, False, each)
     else:
-        found = smooth_along(stacked, rows, jerks[None], None, max(300, MOMENTS * count), False)
+        found = smooth_along(stacked, rows, jerk[None], None, MOMENTS * count, False, each)
     lengths, curve, time, place, speed, *rate = (x[0] for x in found)
-    motion = Trajectory(JointPath(lengths, curve[..., :n]), time, place, speed, robot.joint_names, rate[0] if rate else None)
+    motion = Trajectory(JointPath(lengths, curve), time, place, speed, robot.joint_names, rate[0] if rate else None)
     return Timing(motion, robot, tip)
+
+
+def _within(
+    robot: Robot, tip: int, tool: np.ndarray, tips: TipLimits | None, on_path: tuple[float | None, float | None]
+) -> TipLimits | None:
+    """The limits of the tips on each piece, of which those of the `tool` (k,) have one tip's more."""
+    most = np.full((len(tool), len(robot.tips), 2), np.inf)
+    if tips is not None:
+        most[:, list(tips.tips)] = tips.most
+    own = [np.inf if x is None else x for x in on_path]
+    most[tool, tip] = np.minimum(most[tool, tip], own)
+    return of_tips(robot, most)
 
 
 def _when(moved: Trajectory, place: np.ndarray, time: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from jaxik.optimise import collocation, splines
 from jaxik.optimise.programme import Problem
 from jaxik.planning import limits
 from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker, judged
+from jaxik.planning.tip_speed import TipLimits, most_between
 from jaxik.planning.trajectory import along_pieces
 from jaxik.planning.trajectory_terms import Terms
 from jaxik.reasons import Reason
@@ -58,11 +59,20 @@ class Judge:
         return np.where(missed > BROKEN, int(Reason.NOT_CONVERGED), broken)
 
     def loaded(self, points: np.ndarray) -> np.ndarray:
-        """The greatest share of a limit of torque or power that each span (b, N) of motions uses."""
+        """The greatest share of a limit of torque or power that each span (b, N) of motions uses, or the square of that of a
+        tip's speed, with room for what is between its moments."""
         spans = points.shape[1] - self.options.degree
-        if not (self.terms.drives.limited and len(points)):
+        if not (self.terms.loaded and len(points)):
             return np.zeros((len(points), spans))
-        return np.abs(self.terms.loads(*self.states(points)).value).reshape(len(points), spans, -1).max(axis=2)
+        states = self.states(points)
+        used = np.abs(self.terms.loads(*states).value).reshape(len(points), spans, -1).max(axis=2)
+        return used if self.terms.tips is None else np.maximum(used, self._hurried(self.terms.tips, points) ** 2)
+
+    def _hurried(self, tips: TipLimits, points: np.ndarray) -> np.ndarray:
+        """The greatest share of a limit of tips that each span (b, N) of motions uses."""
+        spans = points.shape[1] - self.options.degree
+        q, rate, _ = (x.reshape(len(points) * spans, len(BETWEEN), -1) for x in self.states(points))
+        return most_between(tips.shares(q, rate, np.zeros(len(q), int))).max(axis=1).reshape(len(points), spans)
 
     def states(self, points: np.ndarray) -> list[np.ndarray]:
         """Values, rates and their rates (b, k, n) at knots and between them."""
@@ -101,6 +111,8 @@ class Judge:
         drives, moves = self.options.drives(self.robot), np.flatnonzero(~np.isnan(least))
         if len(moves) and drives.limited:
             least[moves] = np.maximum(least[moves], limits.least_time(drives, *self.states(points[moves])))
+        if len(moves) and (tips := self.options.tips(self.robot)) is not None:
+            least[moves] = np.maximum(least[moves], self._hurried(tips, points[moves]).max(axis=1))
         return least
 
 

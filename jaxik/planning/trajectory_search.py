@@ -114,6 +114,7 @@ class Search:
         fast, drives = self.fast, self.fast.drives
         driven = {"torque": drives.torque, "power": drives.power, "gravity": drives.gravity} if drives.limited else {}
         limits: dict[str, Any] = {"velocity": fast.velocity, "acceleration": fast.acceleration} | driven
+        limits |= {"tip_speed": self.options.tip_speed, "tip_turn": self.options.tip_turn}
         return time_path(paths, places=PARTS * np.shape(paths.lengths)[1], robot=self.robot, **limits)
 
     def tell(self) -> None:
@@ -292,7 +293,7 @@ class Search:
     def _freed(self, rows: np.ndarray, found: collocation.Found) -> Solved:
         """The motions that are proven free and inside their limits, mended where need be; the others' reasons are noted."""
         options, judge, kept_apart = self.options, self.judge, self.options.kept_margin is not None
-        mends = MENDS if kept_apart or self.terms.drives.limited else 0
+        mends = MENDS if kept_apart or self.terms.loaded else 0
         spans = found.points.shape[1] - options.degree
         extra, used = np.full((len(rows), spans + 1), CUSHION), np.ones((len(rows), spans + 1))
         for number in range(mends + 1):
@@ -304,7 +305,7 @@ class Search:
                 break
             used /= np.maximum(1.0, at_knots((1.0 + 1e-4) * judge.loaded(found.points)))
             refines = number >= MENDS // 2 and (options.duration is not None or extra.shape[1] - 1 < 2 * options.spans)
-            if refines and (hit.any() or self.terms.drives.limited):
+            if refines and (hit.any() or self.terms.loaded):
                 found = finer(found, options.degree)
                 extra, used = (np.repeat(x, 2, axis=1)[:, :-1] for x in (extra, used))
                 short = np.repeat(short, 2, axis=1)

@@ -22,10 +22,12 @@ from jaxik.kinematics.task import POSE, POSITION, Task
 from jaxik.kinematics.tasks import check_given, tasks_of
 from jaxik.optimise import programme, splines
 from jaxik.optimise.programme import FAR, Rows
-from jaxik.options import Options, anything, choice, count, flag, instance, number, per_joint
+from jaxik.options import anything, choice, count, flag, instance, number, per_joint
 from jaxik.planning.limits import BRISK, Drives, drives, limit_of, usual
 from jaxik.planning.link_distances import around, link_distances
+from jaxik.planning.plan_options import TipOptions
 from jaxik.planning.planner import PlanOptions
+from jaxik.planning.tip_speed import TipLimits, tip_limits
 from jaxik.spatial.algebra import stack, traced
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
@@ -38,7 +40,7 @@ SOFT = 1e3  # how much more than a radian in the duration it costs to be in an o
 Collision = Literal["constraint", "penalty"]
 
 
-class TrajectoryOptions(Options, who="optimise_trajectory"):
+class TrajectoryOptions(TipOptions, who="optimise_trajectory"):
     """The costs and limits of `optimise_trajectory`. Degree 2 is the trapezoidal rule of Schuetz 2017, (6.8), and without a
     constraint of collision keeps the joints' range at the ends of spans alone; degree 3 has continuous accelerations."""
 
@@ -121,6 +123,8 @@ class TrajectoryOptions(Options, who="optimise_trajectory"):
             raise ValueError(f"{who}: degree 2 has no jerk; write degree=3")
         if self.degree == 2 and not (self.torque is None and self.power is None):
             raise ValueError(f"{who}: degree 2 has no acceleration at knots, nor torque there; write degree=3")
+        if self.degree == 2 and not (self.tip_speed is None and self.tip_turn is None):
+            raise ValueError(f"{who}: degree 2 has no limits of tip_speed and tip_turn; write degree=3")
         check_collision(who, self.collision, margin=self.margin, other="collision_weight" if self.collision_weight else "")
         check_given(f"{who}: task", self.task, "the goal")
         check_given(f"{who}: via_task", self.via_task, "a pose of via")
@@ -133,13 +137,13 @@ class TrajectoryOptions(Options, who="optimise_trajectory"):
     def terms(self, robot: Robot, scene: Scene | Sequence[Scene] | None) -> Terms:
         """The terms of a robot with these options, in one scene or in several; with a free duration those within a second and
         without limits of motion."""
-        limits, drives = self.limits(robot), self.drives(robot)
+        limits, drives, tips = self.limits(robot), self.drives(robot), self.tips(robot)
         if self.duration is None:
             free = np.full(robot.num_joints, np.inf)
-            limits, drives = [free] * 3, drives._replace(torque=free, power=free)
+            limits, drives, tips = [free] * 3, drives._replace(torque=free, power=free), None
         duration = 1.0 if self.duration is None else float(self.duration)
         velocity, acceleration, jerk = limits
-        return Terms(robot, scene, self, duration, velocity, acceleration, jerk, drives, apart=self.collision_weight > 0.0)
+        return Terms(robot, scene, self, duration, velocity, acceleration, jerk, drives, tips, self.collision_weight > 0.0)
 
     @property
     def hastens(self) -> bool:
@@ -151,7 +155,12 @@ class TrajectoryOptions(Options, who="optimise_trajectory"):
         velocity, acceleration, _ = self.limits(robot)
         most = np.where(np.isfinite(velocity), velocity, 1.0)
         brisk = np.where(np.isfinite(acceleration), acceleration, BRISK * most)
-        return PlanOptions(margin=self.margin, velocity=most, acceleration=brisk, rounds=self.rounds)
+        tips = {"tip_speed": self.tip_speed, "tip_turn": self.tip_turn}
+        return PlanOptions(margin=self.margin, velocity=most, acceleration=brisk, rounds=self.rounds, **tips)
+
+    def tips(self, robot: Robot) -> TipLimits | None:
+        """The limits of the robot's tips, None where there are none."""
+        return tip_limits(self.who, robot, self.tip_speed, self.tip_turn)
 
     def drives(self, robot: Robot) -> Drives:
         """The robot in its gravity, and the limits of its drives."""
@@ -203,8 +212,14 @@ class Terms:
     acceleration: np.ndarray
     jerk: np.ndarray
     drives: Drives
+    tips: TipLimits | None
     apart: bool
     hasty: bool = False
+
+    @property
+    def loaded(self) -> bool:
+        """Whether drives or tips have limits."""
+        return self.drives.limited or self.tips is not None
 
     @property
     def retimed(self) -> bool:
@@ -228,8 +243,8 @@ class Terms:
         among: np.ndarray | None = None,
     ) -> programme.Problem:
         """Over so many spans, motions each `among` what is in the scene of such a number (B,); `extra` (B, spans + 1) [m] is
-        kept beyond the margin at each knot, and of the drives' limits the share `used` (B, 1 or spans + 1). Being cautious, a
-        step moves nothing by more than `STRIDE`, in haste `BOLD`, and bounds hold between knots, too."""
+        kept beyond the margin at each knot, and of the drives' and the tips' limits the share `used` (B, 1 or spans + 1). Being
+        cautious, a step moves nothing by more than `STRIDE`, in haste `BOLD`, and bounds hold between knots, too."""
         at = tuple(round(target.share * spans) for target in targets)
         count = max((target.task.size for target in targets), default=0)
         asked = functools.partial(self._equations, targets, count) if targets else None
@@ -237,16 +252,17 @@ class Terms:
         return programme.Problem(
             *(self.options.degree, self.duration / spans, self._rows(spans, cautious), samples, asked, at, count, open_end),
             cautious=self._reaches / (BOLD if self.hasty else STRIDE) if cautious and self._robots else None,
-            loads=self.loads if self.drives.limited else None,
-            limit=None if not self.drives.limited else np.ones((1, 1, 1)) if used is None else used[:, :, None],
+            loads=self.loads if self.loaded else None,
+            limit=None if not self.loaded else np.ones((1, 1, 1)) if used is None else used[:, :, None],
             haste=float(self.hasty),
         )
 
     def hastened(self) -> Terms:
         """The same within all limits, which a free time had none of, with a time that costs."""
         velocity, acceleration, jerk = self.options.limits(self.robot)
-        drives = self.options.drives(self.robot)
-        return dataclasses.replace(self, velocity=velocity, acceleration=acceleration, jerk=jerk, drives=drives, hasty=True)
+        drives, tips = self.options.drives(self.robot), self.options.tips(self.robot)
+        within = dataclasses.replace(self, velocity=velocity, acceleration=acceleration, jerk=jerk)
+        return dataclasses.replace(within, drives=drives, tips=tips, hasty=True)
 
     def softened(self) -> Terms:
         """The same with obstacles that cost instead of a margin: from within one a motion finds out."""
@@ -343,7 +359,24 @@ class Terms:
         return programme.Samples(slope, share * depth**3, *by_distance, excess, by_rate)
 
     def loads(self, q: np.ndarray, rate: np.ndarray, bend: np.ndarray, _: Any = None) -> programme.Loads:
-        """Torques and powers of states (b, k, n) as shares of their limits, where these are finite, and their slopes."""
+        """Torques and powers of states (b, k, n) as shares of their limits, where these are finite, and the squares of such
+        shares of the tips' speeds; and their slopes."""
+        parts = [self._forces(q, rate, bend)] if self.drives.limited else []
+        parts += [] if self.tips is None else [self._speeds(q, rate)]
+        return programme.Loads(*(np.concatenate(each, axis=2) for each in zip(*parts, strict=True)))
+
+    def _speeds(self, q: np.ndarray, rate: np.ndarray) -> programme.Loads:
+        assert self.tips is not None
+        value, slopes = in_blocks(
+            _moved(self.robot, self.tips.tips), *(x.reshape(-1, x.shape[2]) for x in (q, rate)), double=True
+        )
+        most = self.tips.most.ravel()
+        some = np.isfinite(most)
+        value, slopes = value.reshape(*q.shape[:2], -1), slopes.reshape(*q.shape[:2], len(most), 2, q.shape[2])
+        slopes = np.pad(slopes, ((0, 0), (0, 0), (0, 0), (0, 1), (0, 0)))  # by the rates' rates
+        return programme.Loads(value[..., some] / most[some] ** 2, slopes[:, :, some] / most[some, None, None] ** 2)
+
+    def _forces(self, q: np.ndarray, rate: np.ndarray, bend: np.ndarray) -> programme.Loads:
         flat = (x.reshape(-1, x.shape[2]) for x in (q, rate, bend))
         torque, slopes = in_blocks(_torques(self.robot), *flat, fixed=(self.drives.gravity,), double=True)
         torque, slopes = torque.reshape(q.shape), slopes.reshape(*q.shape, 3, q.shape[2])
@@ -382,6 +415,24 @@ def _reached(robot: Robot, task: Task, q: Any, pose: Any, multipliers: Any) -> A
 
     bend, (residual, slopes) = jax.jacfwd(pull, has_aux=True)(q)
     return residual, slopes, 0.5 * (bend + bend.T)
+
+
+@host_kernels(2)
+def _moved(robot: Robot, tips: tuple[int, ...], q: Any, rate: Any) -> Any:
+    """The squares (2 t,) of how fast tips move and turn, and their slopes (2 t, 2, n) by q and rates."""
+
+    def squares(q: Any, rate: Any) -> Any:
+        frames = joint_frames(robot, list(q), dtype=q.dtype)
+        found = []
+        for tip in tips:
+            columns = jacobian_columns(robot, frames, tip)
+            moved = [sum(column[i] * rate[j] for j, column in enumerate(columns)) for i in range(6)]
+            found += [sum(x * x for x in moved[:3]), sum(x * x for x in moved[3:])]
+        return jnp.stack(found)
+
+    along = lambda tangent: jax.jvp(squares, (q, rate), (tangent[: len(q)], tangent[len(q) :]))[1]
+    slopes = jax.lax.map(along, jnp.eye(2 * len(q), dtype=q.dtype))
+    return squares(q, rate), jnp.stack([slopes[: len(q)].T, slopes[len(q) :].T], axis=1)
 
 
 @host_kernels(3)

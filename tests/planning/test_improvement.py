@@ -9,7 +9,7 @@ from jaxik.planning import plan_motion
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.improvement import Improvement
 from jaxik.planning.limits import Limits
-from jaxik.planning.planner import Finish
+from jaxik.planning.planner import Finish, Pace
 from jaxik.planning.sooner import Hastening
 
 POLES = jaxik.make_scene(boxes=[[0.65, 0.0, 0.0, 0.3, 0.05, 0.5], [-0.5, 0.5, 0.0, 0.1, 0.3, 0.5]])
@@ -106,7 +106,7 @@ def test_each_turn_in_time_is_as_it_is_alone(arm):
     moved = plan_motion(robot, STARTS, GOALS, scene=POLES, seed=1, velocity=1.0, acceleration=4.0)
     space, ways, none = CollisionChecker(robot, POLES, 0.0), [each.waypoints for each in moved], np.zeros(3, int)
     limits = Limits(np.ones(3), np.full(3, 4.0))
-    lasting = Finish(space, limits, None, 128, {}, none).lasting
+    lasting = Finish(space, Pace(limits, None, None, 128), {}, none).lasting
     together = Hastening(space, ways, lasting, 5, none)
     np.testing.assert_array_equal(together.lasts, [each.trajectory.duration for each in moved])
     for _ in range(9):

@@ -8,9 +8,8 @@ from scipy.sparse.csgraph import dijkstra
 
 import jaxik
 from jaxik.kinematics.tasks import BASE_END
-from jaxik.planning import JointPath, tool_choice
+from jaxik.planning import tool_choice
 from jaxik.planning.tip_bounds import TipBounds
-from jaxik.planning.tip_speed import TipLimits, tipped
 from jaxik.planning.tool_choice import Steps, chosen
 from jaxik.planning.tool_line import ToolLine
 from jaxik.reasons import Reason
@@ -200,16 +199,3 @@ def test_bounds_of_the_tips_acceleration_hold(panda):
         places = pinocchio_poses(panda, [q + s * rate + 0.5 * s * s * bend for s in (-h, 0.0, h)])[:, :3, 3]
         place, *_ = bounds.second(np.abs(rate)[None], np.abs(bend)[None]).T
         assert np.linalg.norm(places[0] - 2.0 * places[1] + places[2]) / h**2 <= place[0] + 1e-3
-
-
-def test_the_tip_of_a_path_is_a_joint_more(panda):
-    rng = np.random.default_rng(1)
-    path = JointPath.spline(HOME + rng.uniform(-0.4, 0.4, (5, 7)))
-    limits = jaxik.planning.limits.Limits(panda.velocity, 4.0 * panda.velocity)
-    more, within, _ = tipped(panda, path, limits, None, TipLimits(0, 0.2, None))
-    s = np.linspace(0.0, float(np.sum(path.lengths)), 300)
-    assert within.velocity[-1] == 0.2
-    both = np.array([np.asarray(more.at(x)[0]) for x in s])
-    assert np.allclose(both[:, :7], [np.asarray(path.at(x)[0]) for x in s], atol=1e-5)
-    moved = np.linalg.norm(np.diff(pinocchio_poses(panda, both[:, :7])[:, :3, 3], axis=0), axis=1)
-    assert (np.diff(both[:, 7]) >= moved * (1.0 - 1e-3) - 1e-6).all()
