@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.kinematics.forward import jacobian_columns, joint_frames
+from jaxik.kinematics.reach_bound import Ends
+from jaxik.kinematics.relative import relative_columns
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.limits import Limits
 from jaxik.planning.trajectory import JointPath, along_pieces
@@ -27,9 +29,9 @@ BESIDE = 2.0  # median pieces, within which the greatest slope counts: a dip at 
 
 
 class TipLimits(NamedTuple):
-    """The most that a tip of such a number moves [m/s] and turns [rad/s]; None is no limit."""
+    """The most that a tip of such a number, or one as another sees it, moves [m/s] and turns [rad/s]; None is no limit."""
 
-    tip: int
+    tip: int | Ends
     speed: float | None
     turn: float | None
 
@@ -76,7 +78,7 @@ def _cut(path: JointPath) -> tuple[JointPath, np.ndarray]:
     return JointPath(step, np.stack(shifted, axis=1)), number
 
 
-def _slopes(robot: Robot, tip: int, path: JointPath) -> np.ndarray:
+def _slopes(robot: Robot, tip: int | Ends, path: JointPath) -> np.ndarray:
     """How fast the tip moves and turns by s (k, 5, 2), at five places of each piece."""
     lengths, curve = np.asarray(path.lengths), np.asarray(path.coefficients)
     q, slope, _ = along_pieces(curve[:, None], lengths[:, None] * BETWEEN)
@@ -84,14 +86,15 @@ def _slopes(robot: Robot, tip: int, path: JointPath) -> np.ndarray:
     return tip_rates(robot, tip, rows(q), rows(slope)).reshape(*q.shape[:2], 2)
 
 
-def tip_rates(robot: Robot, tip: int, q: Any, rate: Any) -> np.ndarray:
-    """How fast a tip moves and turns (b, 2) [m, rad] at such configurations and rates of the joints (b, n)."""
+def tip_rates(robot: Robot, tip: int | Ends, q: Any, rate: Any) -> np.ndarray:
+    """How fast a tip, or one as another sees it, moves and turns (b, 2) [m, rad] at such configurations and rates (b, n)."""
     return in_blocks(_speeds(robot, tip), q, rate, double=True)[0]
 
 
 @host_kernels(2)
-def _speeds(robot: Robot, tip: int, q: Any, slope: Any) -> Any:
-    columns = jacobian_columns(robot, joint_frames(robot, list(q), dtype=q.dtype), tip)
+def _speeds(robot: Robot, tip: int | Ends, q: Any, slope: Any) -> Any:
+    frames = joint_frames(robot, list(q), dtype=q.dtype)
+    columns = jacobian_columns(robot, frames, tip) if isinstance(tip, int) else relative_columns(robot, frames, *tip)
     moved = [sum(column[i] * slope[j] for j, column in enumerate(columns)) for i in range(6)]
     size = lambda values: jnp.sqrt(sum(x * x for x in values))
     return jnp.stack([size(moved[:3]), size(moved[3:])])

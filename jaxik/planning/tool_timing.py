@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxik.kinematics.reach_bound import Ends
 from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.tasks import BASE_END
 from jaxik.planning.fastest_timing import fastest_along
 from jaxik.planning.jerk_timing import smooth_along
 from jaxik.planning.limits import Limits
@@ -27,7 +29,7 @@ class Timing(NamedTuple):
 
     trajectory: Trajectory
     robot: Robot
-    tip: int
+    tip: int | Ends
 
     def passed(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """When places (N,) on the path are passed [s], and the tip's speed there [m/s]."""
@@ -59,10 +61,10 @@ class Timing(NamedTuple):
 
 
 def timed_tool(
-    robot: Robot, tip: int, whole: Joined, limits: Limits, jerk: np.ndarray | None, feed: float | None, turn: float | None
+    robot: Robot, ends: Ends, whole: Joined, limits: Limits, jerk: np.ndarray | None, feed: float | None, turn: float | None
 ) -> Timing:
     """The least time along the whole, from rest to rest, within limits (n,), and those of the tip where it is on its path."""
-    n = robot.num_joints
+    n, tip = robot.num_joints, ends[1] if ends[0] == BASE_END else ends
     path, within, jerks = tipped(robot, whole.path, limits, jerk, TipLimits(tip, feed, turn), whole.tool)
     stacked = JointPath(np.asarray(path.lengths)[None], np.asarray(path.coefficients)[None])
     rows, count = Limits(*(x[None] for x in within)), len(path.lengths)
