@@ -51,9 +51,10 @@ def plan_path(
     each to the next. Host driver.
 
     Postures are chosen over the whole path at once: of all branches of the closed form, and samples of what pose and task leave
-    free (a seventh joint, a rail, the tool's axis by `task=Task.pose(free=("yaw",))`, regions of the task), those with the least joint motion, without
-    a joint that jumps, and then moved to a minimum between the samples. The motion is proven between the poses: the tip is
-    no further off the path than `deviation`, nothing comes nearer than `margin`, joints are inside their limits. With a `feed`
+    free (a seventh joint, a rail, the tool's axis by `task=Task.pose(free=("yaw",))`, regions by `within=`, a table by
+    `relative=`, in whose frame the path is then), those with the least joint motion, without a joint that jumps, and then
+    moved to a minimum between the samples. The motion is proven between the poses: the tip is no further off the path, or the
+    regions about it, than `deviation`, nothing comes nearer than `margin`, joints are inside their limits. With a `feed`
     the tip moves at that speed wherever the joints' limits allow. Robots without a closed form follow postures that `solve_ik`
     finds at some of the poses.
 

@@ -31,6 +31,7 @@ FINE, REACH = 25, 1.5  # samples of the fine grid, and how far it reaches, in sa
 SLACK = 1.0  # by which a joint may move further on the coarse grid, of a sample's root: as far are two branches that meet
 AGAIN = 4  # times that candidates are chosen anew without those that prove to be none
 SOME, TOGETHER = 64, 128  # stations at which several values are sampled together, and samples of them to begin with
+STARTS = 4  # values that stay, from which a way is sought where the first one breaks
 PASSES = 3  # over the values, one after the other
 SINGLE = 48  # samples of one of several values
 WORTH = 0.99  # of the way, above which another pass is none
@@ -95,18 +96,20 @@ def _of_one(asked: Asked, poses: np.ndarray) -> Way | Candidates:
 
 def _of_several(asked: Asked, free: Free, poses: np.ndarray) -> Way | Candidates:
     """The way with several free values."""
+    count = asked.options.samples or TOGETHER
+    every = max(1, len(poses) // SOME)
+    some = np.unique(np.append(np.arange(0, len(poses), every), len(poses) - 1))
+    rough = _rough(asked, free, poses[some], every, count)
+    if isinstance(rough, Candidates):
+        return _whole(asked, free, poses, rough, some)
     best: Way | None = None
-    for finer in (1, 2, 4) if asked.options.samples is None else (1,):
-        every = max(1, len(poses) // (SOME * finer))
-        some = np.unique(np.append(np.arange(0, len(poses), every), len(poses) - 1))
-        rough = _rough(asked, free, poses[some], every, finer * (asked.options.samples or TOGETHER))
-        if isinstance(rough, Candidates):
-            return _whole(asked, free, poses, rough, some)
-        way = _by_turns(asked, free, poses, free.between(some, rough.values, len(poses)))
+    still = np.concatenate([0.5 * (free.lower + free.upper)[None], free.samples(STARTS)])
+    for values in (free.between(some, rough.values, len(poses)), *np.repeat(still[:, None], len(poses), axis=1)):
+        way = _by_turns(asked, free, poses, values)
         if isinstance(way, Candidates):
             return way
         best = way if best is None or way.total < best.total else best
-        if not best.breaks.any():
+        if not best.breaks.any():  # else from values that stay as they are
             break
     assert best is not None
     return best

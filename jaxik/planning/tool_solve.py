@@ -2,8 +2,8 @@
 
 Candidates at stations along the path are found in batches (`tool_candidates`, `tool_strands`), one is chosen at each by dynamic
 programming (`tool_choice`, `tool_pick`), first on a coarse grid of what is free and then on a fine one about that; they are
-moved to the least joint motion (`tool_follow`); a spline through them is proven (`tool_proof`), and timed (`tool_timing`). Where
-no candidate can be reached from the one before, the tool lifts off and comes back in another posture (`tool_lift`).
+moved to the least joint motion (`tool_follow`); a spline through them is proven (`tool_proof`), and timed (`tool_timing`).
+Where no candidate can be reached from the one before, the tool lifts off and comes back in another posture (`tool_lift`).
 """
 
 from __future__ import annotations
@@ -107,8 +107,9 @@ def _timed(asked: Asked, parts: Sequence[Proven], whole: Joined) -> PathResult:
     arcs = tuple(timing.slow(robot, line, whole, one, options.feed)) if options.keep_feed and options.feed else ()
     if arcs:
         return nothing(robot, given, Reason.TOO_FAST, arcs, q=q)
+    limited = timing.limited(at, one, options.feed, options.turn)
     largest = np.array([most(~slides), most(slides)])
-    return PathResult(Reason.SOLVED, q, at, given, feed, off, largest, length, slid, timing.trajectory, lifts)
+    return PathResult(Reason.SOLVED, q, at, given, feed, off, largest, length, slid, timing.trajectory, lifts, limited=limited)
 
 
 def postures(asked: Asked, poses: np.ndarray) -> np.ndarray:

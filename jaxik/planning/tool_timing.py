@@ -20,6 +20,7 @@ from jaxik.planning.tool_result import Arc
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.reasons import Reason
 
+REACHED = 0.97  # of a limit of velocity, at which it is what limits
 PLACES = 8  # of a piece
 MOMENTS = 2  # of a piece, within a jerk limit
 
@@ -38,6 +39,15 @@ class Timing(NamedTuple):
         times = _when(moved, place, time, places)
         state = moved.at_times(times)
         return times, tip_rates(self.robot, self.tip, state.q, state.velocity)[:, 0]
+
+    def limited(self, times: np.ndarray, limits: Limits, feed: float | None, turn: float | None) -> tuple[str, ...]:
+        """The names of what the tip's speed is limited by at times (N,)."""
+        state = self.trajectory.at_times(times)
+        rates = tip_rates(self.robot, self.tip, state.q, state.velocity)
+        names = ["feed", "turn", *(f"velocity of {name}" for name in self.robot.joint_names), "acceleration"]
+        tips = [rates[:, i] / (np.inf if most is None else most) for i, most in enumerate((feed, turn))]
+        shares = np.column_stack([*tips, np.abs(state.velocity) / limits.velocity, np.full(len(times), REACHED)])
+        return tuple(names[i] for i in np.argmax(shares, axis=1))
 
     def slow(self, robot: Robot, line: ToolLine, whole: Joined, limits: Limits, feed: float) -> Iterator[Arc]:
         """The parts of the tool's path on which a joint is slower than the feed needs, whatever its acceleration."""
