@@ -29,7 +29,7 @@ class Candidates(NamedTuple):
         return np.repeat(np.arange(len(self.reason)), np.diff(self.first))
 
     def rows(self, kept: np.ndarray) -> Candidates:
-        """Those that are kept (C,)."""
+        """The candidates that are kept (C,)."""
         first = np.searchsorted(self.station[kept], np.arange(len(self.reason) + 1))
         return Candidates(self.q[kept], self.values[kept], first, self.reason)
 

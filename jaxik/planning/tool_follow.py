@@ -116,7 +116,7 @@ class Followed(NamedTuple):
         return np.linalg.qr(rows.swapaxes(1, 2), mode="complete")[0][:, :, rows.shape[1] :]
 
     def _inside(self, q: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What regions leave (M, c), none of it negative inside, and its rows (M, c, n)."""
+        """The room (M, c) to the borders of regions, none of it negative inside, and its rows (M, c, n)."""
         if not self.tasks.each[0].within:
             return np.zeros((len(q), 0)), np.zeros((len(q), 0, q.shape[1]))
         _, left, rows = in_blocks(_conditions(self.robot, self.tasks), q, poses, double=True)

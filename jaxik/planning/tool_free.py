@@ -90,7 +90,7 @@ class Free(NamedTuple):
         return f"{many} values are free, and {MOST_FREE} at most are sampled" if many > MOST_FREE else ""
 
     def samples(self, count: int) -> np.ndarray:
-        """So many samples (S, k) of the whole range."""
+        """Samples (S, k) of the whole range, so many."""
         k = len(self.lower)
         if not k:
             return np.zeros((1, 0))

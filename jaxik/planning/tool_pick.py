@@ -1,7 +1,7 @@
 """A posture for each station of a tool's path, out of candidates.
 
-Of one free value the whole range is sampled, the way through its candidates is chosen, and then that through a finer grid about
-it. Of several, some stations are sampled first, all values together; then one value after the other is sampled as if it were
+A single free value is sampled over its whole range, the way through its candidates is chosen, and then that through a finer grid
+about it. Where there are several, some stations are sampled first, all values together; then one value after the other is sampled as if it were
 the only one, through what the others have, until the way does not become shorter.
 """
 
@@ -33,7 +33,7 @@ AGAIN = 4  # times that candidates are chosen anew without those that prove to b
 SOME, TOGETHER = 64, 128  # stations at which several values are sampled together, and samples of them to begin with
 STARTS = 4  # values that stay, from which a way is sought where the first one breaks
 PASSES = 3  # over the values, one after the other
-SINGLE = 48  # samples of one of several values
+SINGLE = 64  # samples of one of several values
 WORTH = 0.99  # of the way, above which another pass is none
 METRE = 5.0  # [rad] that a metre of a free value counts for
 
@@ -102,17 +102,16 @@ def _of_several(asked: Asked, free: Free, poses: np.ndarray) -> Way | Candidates
     rough = _rough(asked, free, poses[some], every, count)
     if isinstance(rough, Candidates):
         return _whole(asked, free, poses, rough, some)
-    best: Way | None = None
+    found: list[Way] = []
     still = np.concatenate([0.5 * (free.lower + free.upper)[None], free.samples(STARTS)])
     for values in (free.between(some, rough.values, len(poses)), *np.repeat(still[:, None], len(poses), axis=1)):
         way = _by_turns(asked, free, poses, values)
         if isinstance(way, Candidates):
             return way
-        best = way if best is None or way.total < best.total else best
-        if not best.breaks.any():  # else from values that stay as they are
+        found.append(way)
+        if len(found) > 1 and not all(way.breaks.any() for way in found):  # else from other values that stay
             break
-    assert best is not None
-    return best
+    return min(found, key=lambda way: way.total)
 
 
 def _whole(asked: Asked, free: Free, poses: np.ndarray, found: Candidates, rows: np.ndarray) -> Candidates:

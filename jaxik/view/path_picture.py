@@ -47,7 +47,7 @@ def plot_path(robot: Robot, poses: Any, result: PathResult, path: str | Path) ->
         drawn(list(result.lifts), marker="^", color=BAD, label="lifts off before here", zorder=4)
     named = dict(zip(*above.get_legend_handles_labels()[::-1], strict=True))  # each once
     if named:
-        head = "the tip is as fast as ... allows" if len(limited) else "why it cannot be done"
+        head = "the tip is limited by" if len(limited) else "why it cannot be done"
         above.legend(named.values(), named.keys(), title=head, loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
     if known:
         _joints(axes[1, 0], robot, result)
