@@ -1,8 +1,8 @@
 """A posture for each station of a tool's path, out of candidates.
 
-A single free value is sampled over its whole range, the way through its candidates is chosen, and then that through a finer grid
-about it. Where there are several, some stations are sampled first, all values together; then one value after the other is sampled as if it were
-the only one, through what the others have, until the way does not become shorter.
+A single free value is sampled over its whole range, the way through its candidates is chosen, and then that through a finer
+grid about it. Where there are several, some stations are sampled first, all values together; then one value after the other is
+sampled as if it were the only one, through what the others have, until the way does not become shorter.
 """
 
 from __future__ import annotations
