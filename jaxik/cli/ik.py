@@ -44,6 +44,7 @@ FLAGS = flags(
     max_seeds=int,
     nearest=bool,
     metres_per_radian=float,
+    proof_boxes=int,
 )
 
 
@@ -139,7 +140,7 @@ def _blamed(result: jaxik.ik.IKResult) -> str:
 def write_ik(robot: jaxik.Robot, result: jaxik.ik.IKResult, out: Path, table: dict[str, np.ndarray]) -> None:
     """The results of a batch: arrays (.npz, no pickle), one row a target, or a table (.csv, .parquet), one row an answer."""
     names = ["success", "position_error", "rotation_error", "clearance", "seed", "iterations", "solutions", "num_solutions"]
-    names += ["distance", "proven"] if result.joints is not None else []
+    names += ["distance", "proven", "least_distance"] if result.joints is not None else []
     if out.suffix.lower() == ".npz":
         columns = {"reason": texts(result.reason), **{name: getattr(result, name) for name in names}}
         if result.tasks:
@@ -179,6 +180,7 @@ def _table(
     columns |= {"clearance": clearance}
     if options.nearest:
         columns |= {"distance": np.where(first, result.distance[target], np.nan), "proven": result.proven[target] & first}
+        columns |= {"least_distance": result.least_distance[target]}
     columns |= {"seed": result.seed[target], "iterations": result.iterations[target]}
     return columns | dict(zip(robot.joint_names, q.T, strict=True))
 

@@ -24,6 +24,7 @@ UNITS = {
     "angle": "rad",
     "clearance": "m",
     "distance": "m",
+    "least_distance": "m",
     "position_error": "m",
     "rotation_error": "rad",
 }  # of a table's columns

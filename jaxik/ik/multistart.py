@@ -44,14 +44,15 @@ UNLIMITED = 16  # seeds for the question whether it was the limits
 
 
 class Outcome(NamedTuple):
-    """The end of a search: a `Reason` a target, all answers, postures that only collide, the nearest misses; and which task has
-    the reason, where that is known, -1 elsewhere."""
+    """The end of a search: a `Reason` a target, all answers, postures that only collide, the nearest misses; which task has the
+    reason, where that is known, -1 elsewhere; and a distance [m] that no posture is nearer than, where it was looked for."""
 
     reason: np.ndarray
     found: Found
     stuck: Found
     missed: Found
     task: np.ndarray | None = None
+    least: np.ndarray | None = None
 
 
 class Wave(NamedTuple):

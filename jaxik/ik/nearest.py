@@ -8,8 +8,9 @@ The joints' ranges are parted into cells, and of each the configuration nearest 
 is where a descent starts (`nearest_programs`, in float32). The least of the ends that are apart are made exact in float64, and
 of these the nearest is taken; of equally near ones the one that `choice` has.
 
-The search is local from many starts, so what it finds is the nearest that is known. It is proven to be the nearest of all where
-the reach bound shows that no posture comes closer.
+The search is local from many starts, so what it finds is the nearest that is known. It is proven to be the nearest of all
+where the reach bound shows that no posture comes closer, or a search through all of them does, which `proof_boxes` pays for
+(`nearest_proof`).
 
 Where obstacles are minded, and the nearest posture of all collides, the ends of the descents, and starts that are free, are led
 down the distance with the clearance as a constraint (`optimise.sqp`); the nearest of those that are free at the end is taken.
@@ -25,6 +26,7 @@ import numpy as np
 from jaxik.ik import seeds
 from jaxik.ik.multistart import Outcome
 from jaxik.ik.nearest_programs import closest, descend, lean
+from jaxik.ik.nearest_proof import proof
 from jaxik.ik.problem import Problem
 from jaxik.ik.refinement import IMPROVE, put_inside
 from jaxik.ik.solutions import Found, at_home, candidates, far_apart, judged, nothing, portions, scores, top, within
@@ -45,7 +47,7 @@ CLOSE = 1e-4, 1e-2  # [m], of the least distance: ends that are no further behin
 KEPT, APART = 6, 0.02  # ends of a target that are made exact, and how far they are apart in some joint [rad, m]
 TIE = 1e-9  # [m] between distances that are equal
 FIRST = 0.02, 1e-4  # [m/rad] of a search that puts the position first, and of its finish
-LEANING, LEANED = 8, 40  # lanes of a target among obstacles, and their steps
+LEANING, LEANED = 32, 40  # lanes of a target among obstacles, and their steps
 LEANS = 1e-6  # [rad, m] from a limit, where a joint is at it
 LEAN_MARGIN = 1e-6  # [m] more clearance than is asked for, which rounding may use up
 
@@ -57,7 +59,7 @@ def with_nearest(problem: Problem, outcome: Outcome) -> Outcome:
     if not len(left):
         return outcome
     parts = [_nearest(problem, some) for some in portions(left, _cells(problem))]
-    found = at_home(problem, Found.joined(parts))
+    found, least = _with_proof(problem, at_home(problem, Found.joined(parts)))
     met = within(found, problem.tolerance)
     reason = outcome.reason.copy()
     reason[found.target] = np.where(met, Reason.SOLVED, Reason.NEAREST)
@@ -65,7 +67,7 @@ def with_nearest(problem: Problem, outcome: Outcome) -> Outcome:
     missed = Found.joined([nothing(problem), kept(outcome.missed), found.rows(~met)])
     answers = Found.joined([nothing(problem), outcome.found, found.rows(met)])
     task = None if outcome.task is None else np.where(np.isin(reason, (Reason.SOLVED, Reason.NEAREST)), -1, outcome.task)
-    return Outcome(reason, answers, kept(outcome.stuck), missed, task)
+    return Outcome(reason, answers, kept(outcome.stuck), missed, task, least)
 
 
 def check_nearest(tasks: Tasks) -> None:
@@ -119,9 +121,26 @@ def _at(names: tuple[str, ...], q: np.ndarray, limits: tuple[float | None, ...])
     return [name for name, value, limit in given if limit is not None and abs(value - limit) <= LEANS]
 
 
-def proven(problem: Problem, found: Found) -> np.ndarray:
-    """Whether the reach bound shows that no posture is nearer to a row's target than the row is, but for the tolerance."""
-    return distances(problem, found) - least_distances(problem)[found.target] <= problem.tolerance[found.target, 0]
+def _with_proof(problem: Problem, found: Found) -> tuple[Found, np.ndarray]:
+    """The nearest postures, or those nearer ones that a proof met with, and a distance (N,) [m] that none is nearer than."""
+    least = least_distances(problem)
+    left = np.arange(len(found.q)) if problem.options.proof_boxes else np.zeros(0, int)
+    while len(left):
+        rows = found.rows(left)
+        known = proof(problem, rows.target, rows.q, distances(problem, rows))
+        np.maximum.at(least, rows.target, known.least)
+        again = np.isfinite(known.nearer[:, 0]) & (problem.scene is None)  # among obstacles it may collide
+        left, nearer = left[again], known.nearer[again]
+        if len(left):
+            ended = _with_errors(problem, _descended(problem, rows.rows(again)._replace(q=nearer), double=True)[0])
+            found = Found.joined([found.rows(np.delete(np.arange(len(found.q)), left)), at_home(problem, ended)])
+            left = np.arange(len(found.q) - len(left), len(found.q))
+    return found, least
+
+
+def proven(problem: Problem, found: Found, least: np.ndarray) -> np.ndarray:
+    """Whether no posture is nearer to a row's target than the row is, but for the tolerance."""
+    return distances(problem, found) - least[found.target] <= problem.tolerance[found.target, 0]
 
 
 def least_distances(problem: Problem) -> np.ndarray:

@@ -29,7 +29,7 @@ from jaxik.collision.scene_builder import make_scene
 from jaxik.costs import Cost
 from jaxik.ik.branches import search
 from jaxik.ik.multistart import Outcome, beyond_reach
-from jaxik.ik.nearest import binding, check_nearest, distances, nearest_words, proven, with_nearest
+from jaxik.ik.nearest import binding, check_nearest, distances, least_distances, nearest_words, proven, with_nearest
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import FAULTS, Poses, Problem, is_looked_at
 from jaxik.ik.solutions import Found, candidates, cleared, far_apart, scores, top, with_turns
@@ -71,8 +71,8 @@ class IKResult(Result):
     bound of its tip allows [m], 0 where it does not.
 
     With `nearest=True` the reason NEAREST says that q is the posture nearest to a target that has no answer; distance is how
-    far it is [m], by `metres_per_radian`, and proven whether the reach bound shows that no posture is nearer. `why` tells how
-    far, and which joints are at their limits. NaN and False without it.
+    far it is [m], by `metres_per_radian`, and no posture is nearer than least_distance [m]; proven says whether the two are the
+    same but for the tolerance. `why` tells how far, and which joints are at their limits. NaN and False without it.
     """
 
     q: Float[np.ndarray, "*b n"]
@@ -89,6 +89,7 @@ class IKResult(Result):
     beyond: Float[np.ndarray, "*b"] | Any = 0.0
     distance: Float[np.ndarray, "*b"] | Any = np.nan
     proven: Bool[np.ndarray, "*b"] | Any = False
+    least_distance: Float[np.ndarray, "*b"] | Any = np.nan
     tasks: tuple[str, ...] = static(default=())  # their names, where there is a list of them
     solved_in: Any = static(default=None)  # robot, scene or one a target, margin
     joints: Any = static(default=None)  # where the nearest was asked for: what tells which joints bind
@@ -327,16 +328,20 @@ def _result(problem: Problem, outcome: Outcome) -> IKResult:
         num_solutions=known,
         fault=problem.fault,
         **_of_tasks(problem, outcome),
-        **_of_nearest(problem, shown),
+        **_of_nearest(problem, shown, outcome.least),
         tasks=names,
     )
 
 
-def _of_nearest(problem: Problem, shown: Found) -> dict[str, Any]:
-    """Returns how far each posture is from its target, and whether none is nearer, where that was asked."""
+def _of_nearest(problem: Problem, shown: Found, least: np.ndarray | None) -> dict[str, Any]:
+    """Returns how far each posture is from its target, and how far any is at least, where that was asked."""
     if not problem.options.nearest:
-        return {name: np.full(len(shown.q), value) for name, value in (("distance", np.nan), ("proven", False))}
-    return {"distance": distances(problem, shown), "proven": proven(problem, shown), "joints": binding(problem)}
+        unknown = {"distance": np.nan, "proven": False, "least_distance": np.nan}
+        return {name: np.full(len(shown.q), value) for name, value in unknown.items()}
+    least = least_distances(problem) if least is None else least
+    distance, certain = distances(problem, shown), proven(problem, shown, least)
+    known = {"distance": distance, "proven": certain, "least_distance": np.minimum(least, distance)}
+    return {**known, "joints": binding(problem)}
 
 
 def _whole_errors(problem: Problem, shown: Found) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,11 @@ from scipy.optimize import least_squares, minimize
 import jaxik
 from jaxik import Reason, Task
 from jaxik.ik.nearest import least_distances
+from jaxik.ik.nearest_bounds import box_bound
 from jaxik.ik.problem import Poses, Problem
+from jaxik.ik.sqp_programs import batch
+from jaxik.kinematics.tasks import Tasks
+from jaxik.spmd.batch import in_blocks
 
 METRIC = 0.2
 FIVE = {  # a file of example-robot-data, and the frame at the tip
@@ -189,6 +193,81 @@ def test_the_bound_is_below_every_posture():
     assert (least > 0.1).any() and (least <= result.distance + 1e-9).all()
 
 
+@pytest.mark.parametrize("name", FIVE)
+def test_the_nearest_of_all_is_found_and_proven(name):
+    """Boxes of all configurations show that none is nearer; from a single start they lead to the same, and scipy to none
+    nearer."""
+    robot, peer, targets = arm(name), Peer(name), poses(3, 0.4, seed=19)
+    known = jaxik.solve_ik(robot, targets, nearest=True, collision=False)
+    result = jaxik.solve_ik(robot, targets, nearest=True, max_seeds=1, proof_boxes=3_000_000, collision=False)
+    assert result.proven.all() and not known.proven.any() and "proven to be the nearest" in result.why[0]
+    np.testing.assert_allclose(result.distance, known.distance, atol=1e-7)
+    assert (result.distance - result.least_distance <= 1e-6).all()
+    for i, target in enumerate(targets):
+        assert result.least_distance[i] <= peer.nearest(target, 5, seed=i)
+
+
+@pytest.mark.parametrize("task", [Task.pose(), Task.position(), Task.pointing("x"), Task.pose(("y", "roll", "pitch", "yaw"))])
+@pytest.mark.parametrize(("name", "metric"), [("so100", 0.2), ("crops_v2", 0.5), ("ur5e", 0.1)])
+def test_no_posture_of_a_box_is_below_its_bound(name, metric, task):
+    """Boxes large and small, at random and about postures whose pose is the target: postures in them are as far as JAX says."""
+    robot, rng, count = jaxik.load(name), np.random.default_rng(20), 300
+    n, tasks = robot.num_joints, Tasks.alone(task)
+    draw = lambda k: rng.uniform(np.maximum(robot.lower, -3.0), np.minimum(robot.upper, 3.0), (k, n))
+    c, h = draw(count), rng.uniform(0.0, 1.0, (count, n)) * 10.0 ** rng.uniform(-3.0, 0.0, (count, 1))
+    near = c + rng.normal(size=(count, n)) * 10.0 ** rng.uniform(-3.0, 0.5, (count, 1))
+    with jax.enable_x64(True):
+        targets = np.asarray(jax.vmap(lambda q: jaxik.forward_kinematics(robot, q))(near))
+        bound, middle, joint = in_blocks(batch(3, box_bound, robot, tasks), c, h, targets, fixed=(metric,), double=True)
+        far = jax.jit(jax.vmap(lambda q, pose: distance(robot, task, metric, q, pose)))
+        np.testing.assert_allclose(middle, far(c, targets), atol=1e-9)
+        for k in range(40):
+            share = rng.uniform(-1.0, 1.0, (count, n)) if k % 2 else rng.choice([-1.0, 1.0], (count, n))
+            assert (far(c + share * h, targets) >= bound - 1e-9).all()
+    assert (bound > 0.5 * middle).mean() > 0.2 and np.ptp(joint) > 0
+
+
+def distance(robot, task, metric, q, pose):
+    """The distance of a posture from a target [m], by JAX on arrays."""
+    there = jaxik.forward_kinematics(robot, q)
+    turn, away = there[:3, :3] @ pose[:3, :3].T, there[:3, 3] - pose[:3, 3]
+    away = away[np.array(task.positions)] if task.axes == "base" else (pose[:3, :3].T @ away)[np.array(task.positions)]
+    angle = 0.0
+    if len(task.rotations) == 3:
+        angle = jax.numpy.linalg.norm(jaxik.spatial.rotation_log(turn))
+    elif len(task.rotations) == 2:
+        free = next(i for i in range(3) if i not in task.rotations)
+        one, other = there[:3, free], pose[:3, free]
+        angle = jax.numpy.arctan2(jax.numpy.linalg.norm(jax.numpy.cross(one, other)), one @ other)
+    return jax.numpy.sqrt((away**2).sum() + (metric * angle) ** 2)
+
+
+def test_a_proof_that_is_cut_short_still_bounds():
+    robot, targets = jaxik.load("so101"), poses(20, 0.4, seed=21)
+    few, more = (jaxik.solve_ik(robot, targets, nearest=True, proof_boxes=boxes) for boxes in (500, 50_000))
+    assert not few.proven.any() and (few.least_distance <= more.least_distance).all()
+    assert (more.least_distance <= more.distance).all() and (more.least_distance > 0.02).any()
+
+
+def test_a_proof_of_joints_that_turn_further_and_of_locked_ones():
+    """Three joints of a UR5e, whose ranges are two turns wide; the least of a fine grid is no nearer."""
+    robot, targets = jaxik.load("ur5e"), poses(5, 1.0, seed=22)
+    locked = {name: 0.4 for name in robot.joint_names[3:]}
+    result = jaxik.solve_ik(robot, targets, nearest=True, locked=locked, proof_boxes=1_000_000, collision=False)
+    assert result.counts() == {"nearest": 5} and result.proven.all()
+    turns = np.linspace(-np.pi, np.pi, 40)
+    q = np.concatenate([np.stack(np.meshgrid(turns, turns, turns), axis=-1).reshape(-1, 3), np.full((40**3, 3), 0.4)], axis=1)
+    with jax.enable_x64(True):
+        for i, pose in enumerate(targets):
+            far = jax.jit(jax.vmap(lambda q, pose=pose: distance(robot, Task.pose(), METRIC, q, pose)))(q)
+            assert result.least_distance[i] <= far.min() < result.least_distance[i] + 0.1
+
+
+def test_who_proves_asks_for_the_nearest():
+    with pytest.raises(ValueError, match="nobody asks for the nearest; add nearest=True"):
+        jaxik.solve_ik(jaxik.load("so100"), np.eye(4), proof_boxes=100)
+
+
 def test_it_says_how_far_and_what_binds():
     robot = jaxik.load("so100")
     result = jaxik.solve_ik(robot, poses(30, 0.4, seed=12), nearest=True)
@@ -212,6 +291,23 @@ def test_several_tips(tmp_path):
     np.testing.assert_allclose(result.distance[far], errors[far])
 
 
+def least_clear(robot, scene, margin, pose, starts):
+    """The least distance to a pose that SLSQP finds from some starts, with the clearance as a constraint."""
+    low, high = (np.clip(end, -np.pi, np.pi) for end in (robot.lower, robot.upper))
+    ends = []
+    with jax.enable_x64(True):
+        clear = jax.jit(jax.value_and_grad(lambda q: jaxik.clearance(robot, scene, q)))
+        cost = jax.jit(jax.value_and_grad(lambda q: half_square(robot, q, pose)))
+        for q in starts:
+            kept = {"fun": lambda q: float(clear(q)[0]) - margin, "jac": lambda q: np.asarray(clear(q)[1])}
+            both = lambda q: tuple(map(np.asarray, cost(q)))
+            bounds = list(zip(low, high, strict=True))
+            found = minimize(both, q, jac=True, method="SLSQP", bounds=bounds, constraints={"type": "ineq"} | kept)
+            if clear(found.x)[0] >= margin - 1e-9:
+                ends.append(np.sqrt(2.0 * found.fun))
+    return min(ends)
+
+
 def test_among_obstacles_it_is_clear_and_the_best_that_scipy_finds():
     """Postures clear of a scene, no further than what SLSQP finds from random starts with the clearance as a constraint."""
     robot, margin = jaxik.load("pendulum4"), 0.01
@@ -226,20 +322,21 @@ def test_among_obstacles_it_is_clear_and_the_best_that_scipy_finds():
     result = jaxik.solve_ik(robot, targets, scene=scene, margin=margin, nearest=True)
     assert result.counts() == {"nearest": 4} and (result.clearance >= margin).all()
     assert (result.distance > blind.distance + 1e-3).all() and not result.proven.any()
-    low, high = (np.clip(end, -np.pi, np.pi) for end in (robot.lower, robot.upper))
-    with jax.enable_x64(True):
-        clear = jax.jit(jax.value_and_grad(lambda q: jaxik.clearance(robot, scene, q)))
-        cost = jax.jit(jax.value_and_grad(lambda q, pose: half_square(robot, q, pose)))
-        for distance, pose in zip(result.distance, targets, strict=True):
-            ends = []
-            for q in rng.uniform(low, high, (12, 4)):
-                kept = {"fun": lambda q: float(clear(q)[0]) - margin, "jac": lambda q: np.asarray(clear(q)[1])}
-                both = lambda q, pose=pose: tuple(map(np.asarray, cost(q, pose)))
-                bounds = list(zip(low, high, strict=True))
-                found = minimize(both, q, jac=True, method="SLSQP", bounds=bounds, constraints={"type": "ineq"} | kept)
-                if clear(found.x)[0] >= margin - 1e-9:
-                    ends.append(np.sqrt(2.0 * found.fun))
-            assert distance <= min(ends) + 1e-4
+    for far, pose in zip(result.distance, targets, strict=True):
+        assert far <= least_clear(robot, scene, margin, pose, rng.uniform(-np.pi, np.pi, (12, 4))) + 1e-4
+
+
+def test_many_ways_lead_around_obstacles():
+    """An arm of six joints among balls over a floor, where the way from the nearest posture of all ends too early."""
+    robot, margin, rng = jaxik.load("ur5e"), 0.01, np.random.default_rng(5)
+    balls = [[0.5, 0.0, 0.4, 0.2], [-0.3, 0.4, 0.5, 0.2], [0.0, -0.5, 0.3, 0.15]]
+    scene = jaxik.make_scene(spheres=balls, boxes=[[0.0, 0.0, -0.15, 2.0, 2.0, 0.2]])
+    places = rng.uniform([-1.2, -1.2, -0.1], [1.2, 1.2, 1.2], (40, 3))
+    targets = jaxik.pose(places, wxyz=rng.normal(size=(40, 4)))[[1, 7]]
+    result = jaxik.solve_ik(robot, targets, scene=scene, margin=margin, nearest=True)
+    assert result.counts() == {"nearest": 2} and (result.clearance >= margin).all()
+    for far, pose in zip(result.distance, targets, strict=True):
+        assert far <= least_clear(robot, scene, margin, pose, rng.uniform(-np.pi, np.pi, (6, 6))) + 1e-4
 
 
 def half_square(robot, q, pose):
