@@ -33,7 +33,7 @@ AGAIN = 4  # times that candidates are chosen anew without those that prove to b
 SOME, TOGETHER = 64, 128  # stations at which several values are sampled together, and samples of them to begin with
 STARTS = 4  # values that stay, from which a way is sought where the first one breaks
 PASSES = 3  # over the values, one after the other
-SINGLE = 64  # samples of one of several values
+SINGLE = 160  # samples of one of several values
 WORTH = 0.99  # of the way, above which another pass is none
 METRE = 5.0  # [rad] that a metre of a free value counts for
 
