@@ -190,7 +190,7 @@ def branches_of(robot: Robot, tasks: Tasks) -> tuple[Branch, ...]:
         if not own or used & set(own):
             return ()
         used |= set(own)
-        found.append(Branch(_arm(robot, tip, own), np.array(own), number, seen[number]))  # type: ignore[arg-type]
+        found.append(Branch(arm_to(robot, tip, own), np.array(own), number, seen[number]))  # type: ignore[arg-type]
     return () if len(found) == 1 and len(used) == robot.num_joints else tuple(found)
 
 
@@ -204,7 +204,7 @@ def _seen_from(tasks: Tasks, number: int) -> int | None:
     return known[0] if known and turned_alike else None
 
 
-def _arm(robot: Robot, tip: int, own: list[int]) -> Robot:
+def arm_to(robot: Robot, tip: int, own: list[int]) -> Robot:
     """The arm to a tip, with nothing on it that could hit anything."""
     bare: dict[str, Any] = dict.fromkeys(BARE, ())
     alone = dataclasses.replace(robot, joint_T_tip=robot.tip_frames[tip], tip_joints=(robot.tips[tip],), tip_names=(), **bare)

@@ -136,7 +136,7 @@ class Tasks(NamedTuple):
         """The rows of each task's Jacobian, for its bound components."""
         steady = all(task.steady for task in self.each)
         given = zip(self.each, self.ends, targets, [None] * len(targets) if steady else self.frames(frames), strict=True)
-        return [task.rows(_columns(robot, frames, ends), target, tip) for task, ends, target, tip in given]
+        return [task.rows(columns_of(robot, frames, ends), target, tip) for task, ends, target, tip in given]
 
     def conditions(self, frames: JointFrames, targets: list[Frame]) -> tuple[list[Scalar], list[Scalar]]:
         """The values that are zero, and those that are not negative, where all that must be met are."""
@@ -149,14 +149,15 @@ class Tasks(NamedTuple):
         """The `Task.constraints` of each that must be met."""
         given = zip(self.each, self.ends, targets, self.frames(frames), strict=True)
         hard = (one for one in given if one[0].weight is None)
-        return [task.constraints(tip, target, _columns(robot, frames, ends), scale) for task, ends, target, tip in hard]
+        return [task.constraints(tip, target, columns_of(robot, frames, ends), scale) for task, ends, target, tip in hard]
 
     def shaped(self, values: Sequence[Any]) -> Any:
         """One number a task: an array (k,), or the number of a single one."""
         return jnp.stack(values) if self.stacked else values[0]
 
 
-def _columns(robot: Robot, frames: JointFrames, ends: Ends) -> list[tuple[Scalar, ...]]:
+def columns_of(robot: Robot, frames: JointFrames, ends: Ends) -> list[tuple[Scalar, ...]]:
+    """The columns of a tip's Jacobian, six scalars a joint, against the base or another tip."""
     a, tip = ends
     return jacobian_columns(robot, frames, tip) if a == BASE_END else relative_columns(robot, frames, a, tip)
 

@@ -75,7 +75,7 @@ class KeptBounds:
         """How far (b, 2) paths through q (b, n) are off each task, up to so far (b,) before and behind."""
         frames, twist = in_blocks(_moved(self.kept.law), q, slope, double=True)
         return [
-            _off(task, target, frames[:, k], twist[:, k], half, second[k])
+            off_task(task, target, frames[:, k], twist[:, k], half, second[k])
             for k, (task, target) in enumerate(zip(self.kept.law.tasks.each, self.kept.targets, strict=True))
         ]
 
@@ -92,7 +92,7 @@ def _moved(law: Law, q: Any, slope: Any) -> tuple[Any, Any]:
     return jnp.stack([array(x.entries).reshape(4, 4) for x in seen]), jnp.stack([array(x) for x in moved])
 
 
-def _off(
+def off_task(
     task: Task, target: np.ndarray, frame: np.ndarray, twist: np.ndarray, half: np.ndarray, second: np.ndarray
 ) -> np.ndarray:
     """How far (b, 2) a tip is off a task while it moves on by so far (b,) before and behind, where such second derivatives
@@ -181,9 +181,10 @@ def _turned(task: Task, turned: np.ndarray, spin: np.ndarray, half: np.ndarray, 
         off = _beyond(task, components, value[:, None], (slope * half)[:, None], 0.5 * sharp * half**2)
         return np.where((tilt < HALF_TURN) & (np.abs(value) + most / cosine < np.pi), off, np.inf)
     value, angle = _rotation_vectors(turned)
-    if cone is not None:
-        below = cone.low - angle + most if cone.low > 0.0 else 0.0
-        return np.maximum(np.maximum(angle + most - cone.high, below), 0.0)
+    if cone is not None:  # |E - 1| / sqrt(2) is the chord of the angle
+        rows = lambda x: np.moveaxis(x, -1, 1).reshape(len(x), 9) / np.sqrt(2.0)
+        moved = np.cross(spin[:, None], turned.swapaxes(1, 2)).swapaxes(1, 2) * half[:, None, None]
+        return _within_cone(cone, rows(turned - np.eye(3)), rows(moved), 0.5 * (second[:, 1] + fastest**2) * half**2)
     largest = angle + most
     stretch = 0.5 * largest / np.sin(np.clip(0.5 * largest, 1e-9, 0.5 * np.pi))
     sharp = stretch * (second[:, 1] + 1.3 * fastest**2)

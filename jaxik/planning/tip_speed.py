@@ -7,13 +7,16 @@ through them, with room for how far it bends from its chords. So it is kept at e
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.kinematics.forward import jacobian_columns, joint_frames
+from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.reach_bound import Ends
 from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.tasks import BASE_END, columns_of
 from jaxik.planning.limits import limit_of, off_chords
 from jaxik.planning.trajectory import along_pieces
 from jaxik.spmd.batch import in_blocks
@@ -23,17 +26,17 @@ WITHIN = 4  # samples of a part
 
 
 class TipLimits(NamedTuple):
-    """The most (k, t, 2) that some tips of a robot, by number, move [m/s] and turn [rad/s] on each piece of a path, or on all
-    pieces (1, t, 2); infinite where that is not limited."""
+    """The most (k, t, 2) that some tips of a robot move [m/s] and turn [rad/s], against the base or another tip, on each piece
+    of a path, or on all pieces (1, t, 2); infinite where that is not limited."""
 
     robot: Robot
-    tips: tuple[int, ...]
+    ends: tuple[Ends, ...]
     most: np.ndarray
 
     @property
     def size(self) -> int:
         """The number of limits."""
-        return 2 * len(self.tips)
+        return 2 * len(self.ends)
 
     def of_pieces(self, pieces: np.ndarray) -> TipLimits:
         """The limits of some of the pieces, by number; pieces behind the last are as it is."""
@@ -42,9 +45,9 @@ class TipLimits(NamedTuple):
     def shares(self, q: np.ndarray, rate: np.ndarray, pieces: np.ndarray) -> np.ndarray:
         """The share of each limit (k, i, 2 t) that rates of the joints take at configurations (k, i, n) on such pieces (k,)."""
         rows = lambda x: x.reshape(-1, x.shape[-1])
-        found = in_blocks(_rates(self.robot, self.tips), rows(q), rows(rate), double=True)[0]
+        found = in_blocks(_rates(self.robot, self.ends), rows(q), rows(rate), double=True)[0]
         most = self.of_pieces(pieces).most[:, None]
-        return (found.reshape(*q.shape[:2], len(self.tips), 2) / most).reshape(*q.shape[:2], self.size)
+        return (found.reshape(*q.shape[:2], len(self.ends), 2) / most).reshape(*q.shape[:2], self.size)
 
     def steepest(self, lengths: np.ndarray, curve: np.ndarray, parts: int) -> np.ndarray:
         """The most (k, parts) by which any share grows with s on each part of pieces (k,), (k, c, n)."""
@@ -75,8 +78,13 @@ def tip_limits(who: str, robot: Robot | None, speed: Any, turn: Any) -> TipLimit
 
 def of_tips(robot: Robot, most: np.ndarray) -> TipLimits | None:
     """The limits (k, t, 2) of all of a robot's tips, without those that have none anywhere; None where none has."""
+    return of_ends(robot, [(BASE_END, i) for i in range(len(robot.tips))], most)
+
+
+def of_ends(robot: Robot, ends: Sequence[Ends], most: np.ndarray) -> TipLimits | None:
+    """The limits (k, t, 2) of such tips, as they are seen, likewise."""
     some = np.flatnonzero(np.isfinite(most).any(axis=(0, 2)))
-    return TipLimits(robot, tuple(some.tolist()), most[:, some]) if len(some) else None
+    return TipLimits(robot, tuple(ends[i] for i in some.tolist()), most[:, some]) if len(some) else None
 
 
 def most_between(values: np.ndarray) -> np.ndarray:
@@ -84,18 +92,19 @@ def most_between(values: np.ndarray) -> np.ndarray:
     return values.max(axis=-2) + off_chords(values)
 
 
-def tip_rates(robot: Robot, tip: int, q: Any, rate: Any) -> np.ndarray:
-    """How fast a tip moves and turns (b, 2) [m, rad] at such configurations and rates of the joints (b, n)."""
-    return in_blocks(_rates(robot, (tip,)), q, rate, double=True)[0][:, 0]
+def tip_rates(robot: Robot, ends: Ends, q: Any, rate: Any) -> np.ndarray:
+    """How fast a tip, as the base or another sees it, moves and turns (b, 2) [m, rad] at such configurations and rates of the
+    joints (b, n)."""
+    return in_blocks(_rates(robot, (ends,)), q, rate, double=True)[0][:, 0]
 
 
 @host_kernels(2)
-def _rates(robot: Robot, tips: tuple[int, ...], q: Any, rate: Any) -> Any:
+def _rates(robot: Robot, ends: tuple[Ends, ...], q: Any, rate: Any) -> Any:
     frames = joint_frames(robot, list(q), dtype=q.dtype)
     size = lambda values: jnp.sqrt(sum(x * x for x in values))
     found = []
-    for tip in tips:
-        columns = jacobian_columns(robot, frames, tip)
+    for each in ends:
+        columns = columns_of(robot, frames, each)
         moved = [sum(column[i] * rate[j] for j, column in enumerate(columns)) for i in range(6)]
         found.append(jnp.stack([size(moved[:3]), size(moved[3:])]))
     return jnp.stack(found)

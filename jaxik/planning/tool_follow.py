@@ -2,7 +2,7 @@
 
 With q_i on the path, all others near it are q_i + N_i z_i, N_i a basis of the null space of the task's rows. The sum
 
-    sum_i |w (q_{i+1} - q_i)|^2 / (s_{i+1} - s_i)  +  stiff sum_i |short of the limits, short of the clearance|^2
+    sum_i |w (q_{i+1} - q_i)|^2 / (s_{i+1} - s_i)  +  stiff sum_i |short of the limits, the regions, the clearance|^2
 
 is quadratic in z for what is linear in it, and its matrix is block tridiagonal: one banded solve a step of Gauss-Newton.
 Configurations then return to the path by Newton's method. [Nocedal and Wright 2006, ch. 10; Siciliano et al. 2009, sec. 3.5]
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -61,7 +62,7 @@ class Followed(NamedTuple):
         """Configurations (M, n) that are on the path and free, with less joint motion over s (M,), and free as well."""
         if len(q) < 3 or q.shape[1] <= self.tasks.bound:
             return q
-        cost, terms = self._judged(q, s)
+        cost, terms = self._judged(q, poses, s)
         damping = 0.0
         for _ in range(ROUNDS):
             basis = self._basis(q, poses)
@@ -71,7 +72,7 @@ class Followed(NamedTuple):
             free = (there & ~self._hits(moved)).reshape(len(SHARES), -1, 1)
             each = np.where(free, moved.reshape(len(SHARES), *q.shape), q)  # where one may not move, it stays
             most = max(FULL, self._largest(q))
-            judged = [self._judged(one, s) if self._largest(one) <= most else (np.inf, terms) for one in each]
+            judged = [self._judged(one, poses, s) if self._largest(one) <= most else (np.inf, terms) for one in each]
             best = int(np.argmin([one for one, _ in judged]))
             if not judged[best][0] < cost:
                 if damping:
@@ -96,25 +97,34 @@ class Followed(NamedTuple):
             return np.full(len(q), np.inf)
         return in_blocks(_clearance(self.robot), q, fixed=(self.around,), double=False)[0]
 
-    def _judged(self, q: np.ndarray, s: np.ndarray) -> tuple[float, Any]:
-        """The sum, and what is short of the limits (M, 2 n) and of the clearance (M,)."""
-        inside = np.concatenate([q - self.lower - SLACK, self.upper - q - SLACK], axis=1)
+    def _judged(self, q: np.ndarray, poses: np.ndarray, s: np.ndarray) -> tuple[float, Any]:
+        """The sum; what is left to the limits, and the borders of regions (M, 2 n + c), with the rows (M, c, n) of these; and
+        to the clearance (M,)."""
+        left, rows = self._inside(q, poses)
+        inside = np.concatenate([q - self.lower - SLACK, self.upper - q - SLACK, left], axis=1)
         short = np.minimum(inside, 0.0)
         near = self._clearances(q) - self.cushion - ABOVE - (0.0 if self.space is None else float(self.space.margin))
         moved = self.steps.weights * np.diff(q, axis=0)
         cost = (
             np.sum(moved**2 / np.diff(s)[:, None]) + STIFF[0] * np.sum(short**2) + STIFF[1] * np.sum(np.minimum(near, 0.0) ** 2)
         )
-        return float(cost), (inside, near)
+        return float(cost), (inside, rows, near)
 
     def _basis(self, q: np.ndarray, poses: np.ndarray) -> np.ndarray:
         """Bases (M, n, r) of what the task leaves free."""
-        _, rows = in_blocks(_seen(self.robot, self.tasks), q, poses, double=True)
+        rows = in_blocks(_conditions(self.robot, self.tasks), q, poses, double=True)[0]
         return np.linalg.qr(rows.swapaxes(1, 2), mode="complete")[0][:, :, rows.shape[1] :]
+
+    def _inside(self, q: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The room (M, c) to the borders of regions, none of it negative inside, and its rows (M, c, n)."""
+        if not self.tasks.each[0].within:
+            return np.zeros((len(q), 0)), np.zeros((len(q), 0, q.shape[1]))
+        _, left, rows = in_blocks(_conditions(self.robot, self.tasks), q, poses, double=True)
+        return left, rows
 
     def _step(self, q: np.ndarray, s: np.ndarray, basis: np.ndarray, terms: Any, damping: float) -> np.ndarray:
         """The z (M, r) of a step of Gauss-Newton."""
-        (count, n, r), (inside, near) = basis.shape, terms
+        (count, n, r), (inside, borders, near) = basis.shape, terms
         weighted, share = self.steps.weights[:, None] * basis, 1.0 / np.diff(s)
         pulled = self.steps.weights * np.diff(q, axis=0) * share[:, None]
         both = np.zeros(count)
@@ -127,7 +137,7 @@ class Followed(NamedTuple):
         force[1:] -= pulled
         right = np.einsum("mni,mn->mi", weighted, force)
         diagonal += (1e-9 + damping * both)[:, None, None] * np.eye(r)
-        rows = np.concatenate([basis, -basis], axis=1)  # what the limits leave grows by these
+        rows = np.concatenate([basis, -basis, borders @ basis], axis=1)  # what is left grows by these
         slope = self._slopes(q, basis, near)
         z = np.zeros((count, r))
         for _ in range(INNER):  # Newton's method on what is quadratic but for which limits hold
@@ -172,10 +182,20 @@ def _clearance(robot: Robot, q: Any, around: Any) -> Any:
 
 
 @host_kernels(2)
-def _seen(robot: Robot, tasks: Tasks, q: Any, pose: Any) -> tuple[Any, Any]:
-    """The residual (m,) of the tasks' bound components, and their rows (m, n). Traced."""
-    residual, rows = _looked(robot, tasks, q, pose)
-    return jnp.stack(residual), jnp.stack([jnp.stack(row) for row in rows])
+def _conditions(robot: Robot, tasks: Tasks, q: Any, pose: Any) -> tuple[Any, ...]:
+    """The rows (m, n) of the tasks' equations; and of tasks with regions what these leave (c,), and its rows (c, n). Traced."""
+    frames, targets = joint_frames(robot, list(q), dtype=q.dtype), tasks.targets(pose)
+    listed = lambda values: jnp.stack([jnp.asarray(x, q.dtype) for x in values])
+    if not tasks.each[0].within:
+        return (jnp.stack([listed(row) for each in tasks.rows(robot, frames, targets) for row in each]),)
+
+    def values(q: Any) -> tuple[Any, Any]:
+        zero, above = tasks.conditions(joint_frames(robot, list(q), dtype=q.dtype), targets)
+        return listed([*zero, 0.0]), listed([*above, 1.0])
+
+    moved = [jax.jvp(values, (q,), (along,))[1] for along in jnp.eye(len(q), dtype=q.dtype)]
+    rows, slopes = (jnp.stack(each, axis=1) for each in zip(*moved, strict=True))
+    return rows[: tasks.bound], values(q)[1], slopes
 
 
 def _looked(robot: Robot, tasks: Tasks, q: Any, pose: Any) -> tuple[list[Any], list[list[Any]]]:

@@ -75,7 +75,7 @@ def _lifted(follow: Followed, q: np.ndarray, line: ToolLine, s: float, lift: flo
         goal[:, :3, 3] -= far * pose[:, :3, 2]
         new, there = follow.brought(way[-1][None], goal)
         moved = np.abs(new[0] - way[-1])
-        if not there[0] or (moved > follow.steps.most).any():
+        if not there[0] or (moved > follow.steps.most).any() or not moved.any():
             break
         if follow.space is not None and not follow.space.proven_closely(way[-1][None], new)[0]:
             break

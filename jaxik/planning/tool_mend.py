@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxik.planning import tool_solve
 from jaxik.planning.tool_candidates import candidates
+from jaxik.planning.tool_pick import CUSHION, ROOM, Asked
 from jaxik.planning.tool_result import Mend, PathResult
 from jaxik.reasons import Reason
 from jaxik.spatial.rotations import about
@@ -37,7 +38,7 @@ class _Kind(NamedTuple):
     words: Callable[[np.ndarray, float], str]
 
 
-def mend(asked: tool_solve.Asked, found: PathResult) -> Mend | None:
+def mend(asked: Asked, found: PathResult) -> Mend | None:
     """The least change that was found; None where none was."""
     if found.reason == Reason.TOO_FAST:
         return _slower(asked, found)
@@ -55,7 +56,7 @@ def mend(asked: tool_solve.Asked, found: PathResult) -> Mend | None:
     return min(each, key=size, default=None)
 
 
-def _slower(asked: tool_solve.Asked, found: PathResult) -> Mend | None:
+def _slower(asked: Asked, found: PathResult) -> Mend | None:
     """The greatest feed that is kept everywhere."""
     feed = float(asked.options.feed or 0.0)
     for _ in range(HALVINGS):
@@ -67,7 +68,7 @@ def _slower(asked: tool_solve.Asked, found: PathResult) -> Mend | None:
     return None
 
 
-def _looked_at(asked: tool_solve.Asked, found: PathResult) -> np.ndarray:
+def _looked_at(asked: Asked, found: PathResult) -> np.ndarray:
     """Some poses (P, 4, 4) of the whole path, and some of what cannot be done."""
     line = asked.line
     some = np.linspace(0.0, line.length, LOOKED_AT)
@@ -103,7 +104,7 @@ def _tilt(middle: np.ndarray) -> _Kind:
     return _Kind("tilt", TILTS, moved, words)
 
 
-def _least(asked: tool_solve.Asked, kind: _Kind, poses: np.ndarray) -> Mend | None:
+def _least(asked: Asked, kind: _Kind, poses: np.ndarray) -> Mend | None:
     """The least change of a kind that was found, and tried on the whole path."""
     directions, before = _all_round(AROUND), 0.0
     for size in kind.sizes:
@@ -115,9 +116,7 @@ def _least(asked: tool_solve.Asked, kind: _Kind, poses: np.ndarray) -> Mend | No
     return None
 
 
-def _tried(
-    asked: tool_solve.Asked, kind: _Kind, poses: np.ndarray, directions: np.ndarray, low: float, high: float
-) -> Mend | None:
+def _tried(asked: Asked, kind: _Kind, poses: np.ndarray, directions: np.ndarray, low: float, high: float) -> Mend | None:
     """The smallest size between two that passes on the whole path, of the directions of which the larger one may."""
     lower, upper = np.full(len(directions), low), np.full(len(directions), high)
     for _ in range(HALVINGS):
@@ -133,12 +132,12 @@ def _tried(
     return None
 
 
-def _fits(asked: tool_solve.Asked, poses: np.ndarray, transforms: list[np.ndarray]) -> np.ndarray:
+def _fits(asked: Asked, poses: np.ndarray, transforms: list[np.ndarray]) -> np.ndarray:
     """Whether each of the transforms (K,) leaves a candidate at all of the poses."""
     moved = np.stack(transforms)[:, None] @ poses
-    room = tool_solve.ROOM, tool_solve.CUSHION
+    room = ROOM, CUSHION
     if asked.free is not None:
-        reason = candidates(asked.free, asked.space, moved.reshape(-1, 4, 4), asked.free.grid(SAMPLES), room).reason
+        reason = candidates(asked.free, asked.space, moved.reshape(-1, 4, 4), asked.free.samples(SAMPLES), room).reason
         return np.asarray((reason.reshape(len(moved), -1) == Reason.SOLVED).all(axis=1))
     return np.asarray(tool_solve.postures(asked, moved.reshape(-1, 4, 4)).reshape(len(moved), -1).all(axis=1))
 

@@ -20,16 +20,18 @@ from jaxik.collision.scene_builder import make_scene
 from jaxik.files.targets import load_targets
 from jaxik.ik.problem import FAULTS, Poses
 from jaxik.kinematics.robot import Robot
-from jaxik.kinematics.tasks import BASE_END, tasks_of
+from jaxik.kinematics.task import Task
+from jaxik.kinematics.tasks import Tasks, tasks_of
 from jaxik.planning.collision_checker import CollisionChecker
-from jaxik.planning.tool_candidates import Free, compared_round
 from jaxik.planning.tool_choice import Steps
 from jaxik.planning.tool_follow import Followed
+from jaxik.planning.tool_free import Free, compared_round
 from jaxik.planning.tool_line import ToolLine
 from jaxik.planning.tool_mend import mend
 from jaxik.planning.tool_options import PathOptions
+from jaxik.planning.tool_pick import CUSHION, ROOM, Asked
 from jaxik.planning.tool_result import Arc, PathResult
-from jaxik.planning.tool_solve import CUSHION, ROOM, Asked, nothing, solve
+from jaxik.planning.tool_solve import nothing, solve
 from jaxik.reasons import Reason
 
 SLIDING = 5.0  # [rad/m] that the motion of a joint that slides counts for
@@ -49,9 +51,10 @@ def plan_path(
     each to the next. Host driver.
 
     Postures are chosen over the whole path at once: of all branches of the closed form, and samples of what pose and task leave
-    free (a seventh joint, a rail, `task=Task.pose(free=("yaw",))` the tool's axis), those with the least joint motion, without
-    a joint that jumps, and then moved to a minimum between the samples. The motion is proven between the poses: the tip is
-    no further off the path than `deviation`, nothing comes nearer than `margin`, joints are inside their limits. With a `feed`
+    free (a seventh joint, a rail, the tool's axis by `task=Task.pose(free=("yaw",))`, regions by `within=`, a table by
+    `relative=`, in whose frame the path is then), those with the least joint motion, without a joint that jumps, and then
+    moved to a minimum between the samples. The motion is proven between the poses: the tip is no further off the path, or the
+    regions about it, than `deviation`, nothing comes nearer than `margin`, joints are inside their limits. With a `feed`
     the tip moves at that speed wherever the joints' limits allow. Robots without a closed form follow postures that `solve_ik`
     finds at some of the poses.
 
@@ -74,19 +77,28 @@ def plan_path(
     tell = progress or (lambda done, total: None)
     poses = _poses(path)
     robot, tasks = tasks_of("plan_path", robot, options.task)
-    if len(tasks.each) != 1 or tasks.ends[0][0] != BASE_END:
-        raise ValueError("plan_path: a path is that of one tip in the base; name it: task=jaxik.Task.pose(tip=...)")
-    if not tasks.each[0].plain or tasks.each[0].weight is not None or options.task.target is not None:
-        raise ValueError(
-            f"plan_path: task {shown(options.task.words)}; allowed: a pose or position with free components, such as "
-            "Task.pose(free=('yaw',)), and how far off the tip may be by deviation="
-        )
+    check_task(options.task, tasks)
     given = Poses.of(poses, tasks)
     if given.fault.any():
         return _invalid(robot, len(poses), given.fault)
     asked = _asked(robot, tasks, ToolLine.of(given.poses), scene, seed, options)
     found = solve(asked, tell)
     return found if found else dataclasses.replace(found, mends=lambda: mend(asked, found))
+
+
+def check_task(asked: Task, tasks: Tasks) -> None:
+    """Raises `ValueError` for a task that is none of a path."""
+    mend = ""
+    if len(tasks.each) != 1:
+        mend = f"a path is that of one tip, and there are {', '.join(tasks.names)}; name it by tip="
+    elif asked.target is not None:
+        mend = "the path gives the targets; leave out at()"
+    elif asked.weight is not None:
+        mend = "a weight makes it a preference, and a path is kept; leave it out, and say how far off by within="
+    elif asked.function is not None:
+        mend = "a function of one's own cannot be proven between poses; allowed: poses, their regions, and looking"
+    if mend:
+        raise ValueError(f"plan_path: task {shown(asked.words)}: {mend}")
 
 
 def _poses(path: Any) -> np.ndarray:
@@ -114,7 +126,7 @@ def _asked(robot: Robot, tasks: Any, line: ToolLine, scene: Scene | None, seed: 
     around = grouped(make_scene() if scene is None else scene, robot) if looked else None
     room = np.minimum(ROOM, 0.1 * (upper - lower))
     follow = Followed(robot, tasks, space, around, lower + room, upper - room, steps, CUSHION)
-    free = None if Free.obstacle(robot, tasks.each[0]) else Free.of(robot, tasks.each[0])
+    free = None if Free.obstacle(robot, tasks) else Free.of(robot, tasks)
     return Asked(follow, free, line, scene, space, options, seed)
 
 

@@ -4,29 +4,29 @@ A cubic spline through exact configurations leaves the path by their distance to
 the first. Pieces that cannot be proven to keep the path, the limits, and the margin get one more configuration in their middle,
 until all can.
 
-With e(s) how far the tip is off in its place, and c(s) the chord between directions that are to be the same, both are known at
-samples with their derivatives, and change in between by what bounds of the second derivatives allow. Over half a sample's reach
-h a value is |e + e' x| + 1/2 |e''| h^2 at most; the angle of a chord c is 2 asin(c / 2).
+At samples it is known how far the tip is off, and how it moves against the path; in between both change by what bounds of the
+second derivatives allow (`kept_bounds`). A task's regions are allowed: what counts is the distance to them.
 """
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import POSE, Task
 from jaxik.kinematics.tasks import Tasks
+from jaxik.optimise.linear import dot
 from jaxik.planning.collision_checker import CLOSE, CollisionChecker
 from jaxik.planning.cubic_pieces import at_share, bezier, derivatives
+from jaxik.planning.kept_bounds import off_task
 from jaxik.planning.tip_bounds import TipBounds
 from jaxik.planning.tool_follow import Followed
 from jaxik.planning.tool_line import ToolLine
 from jaxik.planning.trajectory import JointPath
-from jaxik.spatial.algebra import Frame, traced
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
@@ -90,14 +90,14 @@ def _off(
     """The most (k, 2) that the tip is off in its place [m] and turn [rad] on each piece."""
     lengths, curve = np.asarray(path.lengths), np.asarray(path.coefficients)
     rate, bend = derivatives(path)
-    place, turn, _ = bounds.second(rate, bend).T
+    place, turn, axis = bounds.second(rate, bend).T
     piece = line.pieces(0.5 * (s[1:] + s[:-1]))
     moving, turning = line.slopes(piece)
     spin, omega = np.linalg.norm(turning, axis=1), rate @ (bounds.rows.T @ bounds.turns)
-    place = place + spin * (2.0 * (rate @ (bounds.rows.T @ bounds.lever) + np.linalg.norm(moving, axis=1)))
-    turn = turn + omega**2 + spin**2
-    second = np.stack([place, turn], axis=1)
-    counts = np.ceil(lengths * np.sqrt(np.max(second / tolerance, axis=1)))
+    apart = rate @ (bounds.rows.T @ bounds.lever) + np.linalg.norm(moving, axis=1)  # the most that the two places part by s
+    turn, axis = turn + spin * (omega + spin), axis + spin * (2.0 * omega + spin)
+    second = np.stack([place + 2.0 * spin * apart, turn, axis], axis=1)
+    counts = np.ceil(lengths * np.sqrt(np.max(second[:, :2] / tolerance, axis=1)))
     counts = np.clip(counts, 1, SAMPLES).astype(int)  # a sample's reach then costs an eighth
     row = np.repeat(np.arange(len(counts)), counts)
     half = (0.5 * lengths / counts)[row]
@@ -105,46 +105,42 @@ def _off(
     powers = since[:, None] ** np.arange(3, -1, -1)
     q = np.einsum("bp,bpn->bn", powers, curve[row])
     slope = np.einsum("bp,bpn->bn", powers[:, 1:] * [3.0, 2.0, 1.0], curve[row, :3])
-    poses = line.at(s[row] + since, piece[row])
-    low, high = in_blocks(_ends(robot, tasks), q, slope, poses, moving[row], turning[row], half, double=True)
-    most = np.maximum(low, high) + 0.5 * second[row] * half[:, None] ** 2
-    first = np.cumsum(counts) - counts
-    most = np.maximum.reduceat(most, first, axis=0)
-    most[:, 1] = 2.0 * np.arcsin(np.minimum(0.5 * most[:, 1], 1.0))
-    return most
+    (task,) = tasks.each
+    frame, twist = in_blocks(_moved(robot, tasks), q, slope, double=True)
+    poses, moving, turning = line.at(s[row] + since, piece[row]), moving[row], turning[row]
+    far = np.linalg.norm(frame[:, :3, 3] - poses[:, :3, 3], axis=1)
+    seen, twist = _seen_from(task, frame, twist, poses, moving, turning)
+    each = second[row]
+    each[:, 0] += spin[row] ** 2 * (far + half * apart[row])
+    off = off_task(task, np.eye(4), seen, twist, half, each)
+    return np.maximum.reduceat(off, np.cumsum(counts) - counts, axis=0)
 
 
-@host_kernels(6)
-def _ends(robot: Robot, tasks: Tasks, q: Any, slope: Any, pose: Any, moving: Any, turning: Any, half: Any) -> Any:
-    """How far the tip is off in its place and by its chord (2,), if it goes on as at q, half a sample before and behind it.
-    Traced."""
-    (task,), ((_, tip),) = tasks.each, tasks.ends
+def _seen_from(
+    task: Task, frame: np.ndarray, twist: np.ndarray, poses: np.ndarray, moving: np.ndarray, turning: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The frames (b, 4, 4) of a tip in those of its poses (b, 4, 4), or turned against these in the base's axes, as the task
+    compares them; and their motion (b, 6), while the poses move (b, 3) and turn (b, 3)."""
+    found, back, apart = np.tile(np.eye(4), (len(frame), 1, 1)), poses[:, :3, :3].swapaxes(1, 2), (frame - poses)[:, :3, 3]
+    if task.axes == "base":
+        found[:, :3, :3], found[:, :3, 3] = frame[:, :3, :3] @ back, apart
+        spin = twist[:, 3:] - np.einsum("bij,bj->bi", found[:, :3, :3], turning)
+        return found, np.concatenate([twist[:, :3] - moving, spin], axis=1)
+    found[:, :3, :3], found[:, :3, 3] = back @ frame[:, :3, :3], np.einsum("bij,bj->bi", back, apart)
+    linear = twist[:, :3] - moving - np.cross(turning, apart)
+    motion = np.stack([linear, twist[:, 3:] - turning], axis=1)
+    return found, np.einsum("bij,bkj->bki", back, motion).reshape(-1, 6)
 
-    def off(q: Any, pose: Any) -> tuple[Any, Any]:
-        found, target = joint_frames(robot, list(q), dtype=q.dtype).tips[tip], Frame.of_entries(traced(pose))
-        apart = found.translation - target.translation
-        if len(task.positions) < 3 and task.axes == "tool":
-            apart = target.rotation.T @ apart
-        place = [apart[i] for i in task.positions]
-        kept, columns = len(task.rotations), list(range(3))
-        if kept == 2:
-            columns = [next(i for i in range(3) if i not in task.rotations)]
-        seen, wanted = found.rotation, target.rotation
-        if task.axes == "base" and kept == 2:
-            seen, wanted = seen.T, wanted.T
-        scale = 2.0**-0.5 if kept == 3 else 1.0
-        chord = [scale * (seen[i][j] - wanted[i][j]) for i in range(3) for j in columns] if kept > 1 else []
-        listed = lambda values: jnp.stack([jnp.asarray(x, q.dtype) for x in [*values, 0.0]])
-        return listed(place), listed(chord)
 
-    x, y, z = turning
-    cross = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) * z
-    cross += jnp.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]) * y
-    cross += jnp.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]) * x
-    rate = jnp.zeros_like(pose).at[:3, :3].set(cross @ pose[:3, :3]).at[:3, 3].set(moving)
-    value, change = jax.jvp(off, (q, pose), (slope, rate))
-    size = lambda sign: jnp.stack([jnp.sqrt(jnp.sum((a + sign * half * b) ** 2)) for a, b in zip(value, change, strict=True)])
-    return size(-1.0), size(1.0)
+@host_kernels(2)
+def _moved(robot: Robot, tasks: Tasks, q: Any, slope: Any) -> tuple[Any, Any]:
+    """The frame (4, 4) that a task compares, and its motion (6,) while q moves by its slope (n,). Traced."""
+    whole = tasks._replace(each=(POSE,))
+    frames = joint_frames(robot, list(q), dtype=q.dtype)
+    (seen,) = whole.frames(frames)
+    (rows,) = whole.rows(robot, frames, [seen])
+    array = lambda x: jnp.stack([jnp.asarray(y, q.dtype) for y in x])
+    return array(seen.entries).reshape(4, 4), array([dot(row, list(slope)) for row in rows])
 
 
 def _free(space: CollisionChecker, path: JointPath) -> np.ndarray:

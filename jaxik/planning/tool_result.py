@@ -64,6 +64,7 @@ class PathResult(Result):
     largest (2,): the most that a joint turns, and slides, from a pose to the next one [rad, m].
     lifts: the numbers of the poses before which it lifts off and comes back in another posture.
     feed (N,): the tip's speed as each pose is passed [m/s].
+    limited: what limits the tip at each pose (N,): "feed", "turn", "velocity of" a joint, or "acceleration" if none of these.
     arcs: the parts that cannot be done, each an `Arc`.
     """
 
@@ -78,6 +79,7 @@ class PathResult(Result):
     slides: Any = float("nan")
     trajectory: Any = None
     lifts: tuple[int, ...] = static(default=())
+    limited: tuple[str, ...] = static(default=())
     arcs: tuple[Arc, ...] = static(default=())
     mends: Callable[[], Mend | None] | None = static(default=None)
     ROW: ClassVar = "path"
@@ -101,4 +103,4 @@ class PathResult(Result):
         return f"{self.arcs[0]}{more}; {HELP.get(reason, '')}"
 
     def _by_row(self) -> dict[str, Any]:
-        return {name: value for name, value in super()._by_row().items() if name not in ("arcs", "mends")}
+        return {name: value for name, value in super()._by_row().items() if name not in ("limited", "arcs", "mends")}

@@ -1,65 +1,36 @@
 """The method of `plan_path`, for a path that is checked: candidates, choice, least motion, proof, timing.
 
 Candidates at stations along the path are found in batches (`tool_candidates`, `tool_strands`), one is chosen at each by dynamic
-programming (`tool_choice`), first on a coarse grid of what is free and then on a fine one about that; they are moved to the
-least joint motion (`tool_follow`); a spline through them is proven (`tool_proof`), and timed (`tool_timing`). Where no
-candidate can be reached from the one before, the tool lifts off and comes back in another posture (`tool_lift`).
+programming (`tool_choice`, `tool_pick`), first on a coarse grid of what is free and then on a fine one about that; they are
+moved to the least joint motion (`tool_follow`); a spline through them is proven (`tool_proof`), and timed (`tool_timing`).
+Where no candidate can be reached from the one before, the tool lifts off and comes back in another posture (`tool_lift`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import Poses
 from jaxik.ik.solve import solved
-from jaxik.kinematics.joint_turns import TURN
 from jaxik.kinematics.robot import Robot
-from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.limits import limit_of, motion_limits
 from jaxik.planning.tip_speed import tip_limits
-from jaxik.planning.tool_candidates import Candidates, Free, candidates
-from jaxik.planning.tool_choice import Chosen, Steps, chosen
+from jaxik.planning.tool_candidates import Candidates, candidates
 from jaxik.planning.tool_follow import Followed
 from jaxik.planning.tool_lift import Joined, joined
 from jaxik.planning.tool_line import ToolLine
-from jaxik.planning.tool_options import PathOptions
+from jaxik.planning.tool_pick import FIRST, Asked, pick
 from jaxik.planning.tool_proof import Proven, proven
 from jaxik.planning.tool_result import Arc, PathResult
-from jaxik.planning.tool_strands import strands
 from jaxik.planning.tool_timing import timed_tool
 from jaxik.reasons import Reason
 
 SPACING = 0.01  # [m] of stations at most
-ROOM, CUSHION = 3e-3, 1e-3  # [rad, m] from the limits, [m] beyond the margin, that configurations keep for what is between
-FIRST, LEAST, MOST = 64, 8, 1024  # samples to begin with, at least, and at most
-TOLD = 50  # stations by which the number of samples is told
-MEAN, ENOUGH = 100, 50  # candidates of a station that are asked for, on average; and where there are more anyway
-FINE, REACH = 25, 1.5  # samples of the fine grid a free value, and how far it reaches, in samples of the coarse one
-SEVERAL = 9  # of each of two free values
-SLACK = 1.0  # by which a joint may move further on the coarse grid, of a sample's root: as far are two branches that meet
-AGAIN = 4  # times that candidates are chosen anew without those that prove to be none
-
-
-class Asked(NamedTuple):
-    """A path that was asked for, checked: the robot, whose tip the task's is, with what surrounds it, and the line."""
-
-    follow: Followed
-    free: Free | None
-    line: ToolLine
-    scene: Scene | None
-    space: CollisionChecker | None
-    options: PathOptions
-    seed: int
-
-    def moved(self, by: np.ndarray, options: PathOptions | None = None) -> Asked:
-        """The same of the path moved by a transform (4, 4), or with other options."""
-        return self._replace(line=self.line.moved(by), options=options or self.options)
 
 
 def nothing(robot: Robot, s: np.ndarray, reason: Reason, arcs: tuple[Arc, ...], **more: Any) -> PathResult:
@@ -80,7 +51,7 @@ def solve(asked: Asked, tell: Callable[[int, int], Any] = lambda done, total: No
     if isinstance(picked, Candidates):
         arcs = _arcs(asked, stations, poses, picked.reason)
         return nothing(robot, given, arcs[0].reason, arcs)
-    q, breaks = picked
+    q, breaks = picked.q, picked.breaks
     tell(1, 4)
     if breaks.any() and not options.reconfigure:
         arcs = tuple(_jump(asked, stations, q, i) for i in np.flatnonzero(breaks).tolist())
@@ -101,140 +72,6 @@ def solve(asked: Asked, tell: Callable[[int, int], Any] = lambda done, total: No
     found = _timed(asked, parts, whole)
     tell(4, 4)
     return found
-
-
-def pick(asked: Asked, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray] | Candidates:
-    """A configuration for each station (M, n), and before which the way breaks (M,); or the candidates, where stations have
-    none."""
-    follow, free = asked.follow, asked.free
-    if free is None:
-        some = strands(follow, asked.space, poses, asked.seed)
-        if (some.reason != Reason.SOLVED).any():
-            return some
-        return _exact(follow, poses, some, follow.steps)
-    coarse, count = _coarse(asked, poses)
-    if (coarse.reason != Reason.SOLVED).any():
-        return coarse
-    if not len(free.lower):
-        return _exact(follow, poses, coarse, follow.steps)
-    best = _twice(asked, poses, coarse, count)
-    while best[1].any() and 2 * count <= MOST and asked.options.samples is None:  # a narrow way needs more samples
-        count *= 2
-        coarse = candidates(free, asked.space, poses, free.grid(count), (ROOM, CUSHION))
-        if (coarse.reason != Reason.SOLVED).any():
-            break
-        best = min(best, _twice(asked, poses, coarse, count), key=lambda found: int(found[1].sum()))
-    return best
-
-
-def _twice(asked: Asked, poses: np.ndarray, coarse: Candidates, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The choice among candidates of so many samples, and then among finer ones about it."""
-    follow, free = asked.follow, asked.free
-    assert free is not None
-    spacing = free.spacing(count)
-    slides = np.array(follow.robot.is_prismatic)
-    slack = np.where(
-        slides, float(np.max(spacing[_slides(free)], initial=0.0)), np.sqrt(np.max(spacing[~_slides(free)], initial=0.0))
-    )
-    wide = follow.steps._replace(most=follow.steps.most + SLACK * slack)
-    rough = chosen(coarse.q, coarse.first, wide)
-    each = FINE if len(free.lower) == 1 else SEVERAL
-    fine = candidates(free, asked.space, poses, free.about(coarse.values[rough.number], spacing, REACH, each), (ROOM, CUSHION))
-    near = _near(follow.steps, fine, coarse.q[rough.number], wide.most)
-    if np.any(np.diff(near.first) == 0):
-        return _exact(follow, poses, coarse, wide)
-    return _exact(follow, poses, near, follow.steps)
-
-
-def _slides(free: Free) -> np.ndarray:
-    """Whether each free value (k,) is that of a joint that slides."""
-    robot, form = free.robot, free.upper
-    from jaxik.analytic.families import redundancy
-
-    names = redundancy(robot).names
-    kinds = [name in robot.joint_names and robot.is_prismatic[robot.joint_names.index(name)] for name in names]
-    return np.array(kinds + [False] * (len(form) - len(kinds)), bool)
-
-
-def _coarse(asked: Asked, poses: np.ndarray) -> tuple[Candidates, int]:
-    """Candidates on a grid of so many samples that stations have enough of them, on average; on a finer one where some have
-    none."""
-    free, options = asked.free, asked.options
-    assert free is not None
-    ask = lambda count, rows, room=(ROOM, CUSHION): candidates(free, asked.space, rows, free.grid(count), room)
-    count = options.samples or 1
-    if options.samples is None and len(free.lower):
-        some = poses[:: max(1, len(poses) // TOLD)]
-        mean = max(1.0, len(ask(FIRST, some).q) / len(some))
-        count = int(np.clip(FIRST * (MEAN if mean < MEAN else ENOUGH) / mean, LEAST, MOST // 2))
-    found = ask(count, poses)
-    if (lost := np.flatnonzero(found.reason != Reason.SOLVED)).size:
-        closer = ask(4 * count, poses[lost], (0.0, 0.0))
-        found = _replaced(found, lost, closer)
-    return found, count
-
-
-def _replaced(found: Candidates, rows: np.ndarray, others: Candidates) -> Candidates:
-    """The candidates with those of some stations, which had none, put in."""
-    station = np.concatenate(
-        [
-            np.repeat(np.arange(len(found.reason)), np.diff(found.first)),
-            rows[np.repeat(np.arange(len(rows)), np.diff(others.first))],
-        ]
-    )
-    order = np.argsort(station, kind="stable")
-    reason = found.reason.copy()
-    reason[rows] = others.reason
-    q, values = np.concatenate([found.q, others.q])[order], np.concatenate([found.values, others.values])[order]
-    return Candidates(q, values, np.searchsorted(station[order], np.arange(len(reason) + 1)), reason)
-
-
-def _near(steps: Steps, found: Candidates, q: np.ndarray, most: np.ndarray) -> Candidates:
-    """The candidates that are near q (M, n) of their station."""
-    station = np.repeat(np.arange(len(q)), np.diff(found.first))
-    kept = (np.abs(steps.between(q[station], found.q)) <= most).all(axis=1)
-    return Candidates(found.q[kept], found.values[kept], np.searchsorted(station[kept], np.arange(len(q) + 1)), found.reason)
-
-
-def _exact(follow: Followed, poses: np.ndarray, found: Candidates, steps: Steps) -> tuple[np.ndarray, np.ndarray]:
-    """The choice among candidates, brought on to the poses in float64, without those that cannot be, and unwound."""
-    for number in range(AGAIN + 1):
-        way = chosen(found.q, found.first, steps)
-        q, there = follow.brought(found.q[way.number], poses)
-        if there.all() or number == AGAIN:
-            break
-        kept = np.ones(len(found.q), bool)
-        kept[way.number[~there]] = False
-        station = np.repeat(np.arange(len(poses)), np.diff(found.first))[kept]
-        first = np.searchsorted(station, np.arange(len(poses) + 1))
-        if (np.diff(first) == 0).any():
-            break
-        found = found._replace(q=found.q[kept], first=first)
-    return _unwound(follow, q, way)
-
-
-def _unwound(follow: Followed, q: np.ndarray, way: Chosen) -> tuple[np.ndarray, np.ndarray]:
-    """Configurations between which no joint turns round, but at breaks, by whole turns that keep the limits; where there are no
-    such turns the way breaks."""
-    robot, around, breaks = follow.robot, follow.steps.round, way.breaks.copy()
-    if not around.any() or len(q) < 2:
-        return q, breaks
-    limited = around & np.isfinite(robot.lower)
-    middle = 0.5 * (np.where(limited, robot.lower, 0.0) + np.where(limited, robot.upper, 0.0))
-    found, begin = q.copy(), 0
-    for end in [*np.flatnonzero(breaks).tolist(), len(q)]:
-        while begin < end:
-            moved = follow.steps.between(q[begin : end - 1], q[begin + 1 : end])
-            run = q[begin] + np.concatenate([np.zeros((1, q.shape[1])), np.cumsum(moved, axis=0)])
-            low, high = np.minimum.accumulate(run), np.maximum.accumulate(run)
-            shift = np.where(limited, -TURN * np.round((0.5 * (low + high) - middle) / TURN), 0.0)
-            fits = np.all((low + shift >= robot.lower - 1e-9) & (high + shift <= robot.upper + 1e-9), axis=1)
-            length = len(fits) if fits.all() else max(1, int(np.argmin(fits)))
-            found[begin : begin + length] = run[:length] + shift[length - 1]
-            begin += length
-            if begin < end:
-                breaks[begin] = True
-    return found, breaks
 
 
 def _part(follow: Followed, line: ToolLine, s: np.ndarray, q: np.ndarray, deviation: np.ndarray) -> Proven:
@@ -258,8 +95,8 @@ def _timed(asked: Asked, parts: Sequence[Proven], whole: Joined) -> PathResult:
     limits = motion_limits("plan_path", robot, options.velocity, options.acceleration, (1, robot.num_joints))
     jerk = None if options.jerk is None else limit_of("plan_path", "jerk", options.jerk, (robot.num_joints,))
     one = type(limits)(*(x[0] for x in limits))
-    tips = tip_limits("plan_path", robot, options.tip_speed, options.tip_turn)
-    timing = timed_tool(robot, follow.tasks.ends[0][1], whole, one, jerk, tips, (options.feed, options.turn))
+    tips, own = tip_limits("plan_path", robot, options.tip_speed, options.tip_turn), (options.feed, options.turn)
+    timing = timed_tool(robot, follow.tasks.ends[0], whole, one, jerk, tips, own)
     q, number = _at_given(line, parts)
     at, feed = timing.passed(whole.places(given, number))
     slides = np.array(robot.is_prismatic)
@@ -272,8 +109,9 @@ def _timed(asked: Asked, parts: Sequence[Proven], whole: Joined) -> PathResult:
     arcs = tuple(timing.slow(robot, line, whole, one, options.feed)) if options.keep_feed and options.feed else ()
     if arcs:
         return nothing(robot, given, Reason.TOO_FAST, arcs, q=q)
+    limited = timing.limited(at, one, tips, own)
     largest = np.array([most(~slides), most(slides)])
-    return PathResult(Reason.SOLVED, q, at, given, feed, off, largest, length, slid, timing.trajectory, lifts)
+    return PathResult(Reason.SOLVED, q, at, given, feed, off, largest, length, slid, timing.trajectory, lifts, limited=limited)
 
 
 def postures(asked: Asked, poses: np.ndarray) -> np.ndarray:
@@ -310,7 +148,7 @@ def what_hits(asked: Asked, pose: np.ndarray) -> str:
     follow, free = asked.follow, asked.free
     if free is None or asked.space is None:
         return ""
-    some = candidates(free, None, pose[None], free.grid(4 * FIRST))
+    some = candidates(free, None, pose[None], free.samples(4 * FIRST))
     if not len(some.q):
         return ""
     best = some.q[int(np.argmax(follow._clearances(some.q)))]

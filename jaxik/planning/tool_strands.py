@@ -33,8 +33,9 @@ def strands(follow: Followed, space: CollisionChecker | None, poses: np.ndarray,
     """The candidates of poses (M, 4, 4), in no free values."""
     count = len(poses)
     anchors = np.unique(np.linspace(0, count - 1, min(ANCHORS, count)).astype(int))
-    options = IKOptions(solutions=STRANDS, max_seeds=2 * STRANDS, distinct=0.1)
-    found = solved(follow.robot, Poses.of(poses[anchors], follow.tasks), None, seed, options, tasks=follow.tasks)
+    margin = 0.0 if space is None else float(space.margin)
+    options = IKOptions(solutions=STRANDS, max_seeds=2 * STRANDS, distinct=0.1, margin=margin)
+    found = solved(follow.robot, Poses.of(poses[anchors], follow.tasks), follow.around, seed, options, tasks=follow.tasks)
     starts = np.concatenate([found.solutions[i, : found.num_solutions[i]] for i in range(len(anchors))])
     at = np.repeat(anchors, found.num_solutions)
     q, there = np.zeros((len(starts), count, starts.shape[1])), np.zeros((len(starts), count), bool)

@@ -17,9 +17,10 @@ from jaxik.collision.continuous_collision import joint_reaches
 from jaxik.collision.scene import Scene
 from jaxik.dynamics.recursions import GRAVITY, inverse_dynamics, mass_matrix
 from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.reach_bound import Ends
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, POSITION, Task
-from jaxik.kinematics.tasks import check_given, tasks_of
+from jaxik.kinematics.tasks import check_given, columns_of, tasks_of
 from jaxik.optimise import programme, splines
 from jaxik.optimise.programme import FAR, Rows
 from jaxik.options import anything, choice, count, flag, instance, number, per_joint
@@ -368,7 +369,7 @@ class Terms:
     def _speeds(self, q: np.ndarray, rate: np.ndarray) -> programme.Loads:
         assert self.tips is not None
         value, slopes = in_blocks(
-            _moved(self.robot, self.tips.tips), *(x.reshape(-1, x.shape[2]) for x in (q, rate)), double=True
+            _moved(self.robot, self.tips.ends), *(x.reshape(-1, x.shape[2]) for x in (q, rate)), double=True
         )
         most = self.tips.most.ravel()
         some = np.isfinite(most)
@@ -418,14 +419,14 @@ def _reached(robot: Robot, task: Task, q: Any, pose: Any, multipliers: Any) -> A
 
 
 @host_kernels(2)
-def _moved(robot: Robot, tips: tuple[int, ...], q: Any, rate: Any) -> Any:
+def _moved(robot: Robot, ends: tuple[Ends, ...], q: Any, rate: Any) -> Any:
     """The squares (2 t,) of how fast tips move and turn, and their slopes (2 t, 2, n) by q and rates."""
 
     def squares(q: Any, rate: Any) -> Any:
         frames = joint_frames(robot, list(q), dtype=q.dtype)
         found = []
-        for tip in tips:
-            columns = jacobian_columns(robot, frames, tip)
+        for each in ends:
+            columns = columns_of(robot, frames, each)
             moved = [sum(column[i] * rate[j] for j, column in enumerate(columns)) for i in range(6)]
             found += [sum(x * x for x in moved[:3]), sum(x * x for x in moved[3:])]
         return jnp.stack(found)
