@@ -48,9 +48,8 @@ class Timing(NamedTuple):
         shares = [rates / [np.inf if most is None else most for most in on_path], np.abs(state.velocity) / limits.velocity]
         names = ["feed", "turn", *(f"velocity of {name}" for name in self.robot.joint_names)]
         if tips is not None:
-            shares.append(
-                tips.shares(*(np.asarray(x)[:, None] for x in (state.q, state.velocity)), np.zeros(len(times), int))[:, 0]
-            )
+            q, rate = (np.asarray(x)[:, None] for x in (state.q, state.velocity))
+            shares.append(tips.shares(q, rate, np.zeros(len(times), int))[:, 0])
             names += ["tip_speed", "tip_turn"] * len(tips.ends)
         shares.append(np.full((len(times), 1), REACHED))
         return tuple([*names, "acceleration"][i] for i in np.argmax(np.concatenate(shares, axis=1), axis=1))
