@@ -122,6 +122,8 @@ class IKArguments(FLAGS, SearchArguments):
         for i in np.flatnonzero(result.fault)[:SHOWN]:
             tip = f"{result.tasks[result.task[i]]}: " if result.tasks else ""
             print(f"target {i + 1}: {tip}{FAULTS[result.fault[i]]}")
+        for i in np.flatnonzero(result.reason == Reason.CONTRADICTION)[:1]:  # which two, and how far apart
+            print(f"target {i + 1}: {result[i].why}")
         if said := offenders(result):
             print(said)
         if self.solutions != 1:

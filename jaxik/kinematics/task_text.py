@@ -84,10 +84,19 @@ def _value(kind: str, name: str, word: str) -> Any:
     if name in LENGTHS or (name == "within" and kind in ("distance", "plane")):
         return _range(word, "m")
     if name == "within":
-        return _range(word, "rad") if kind in ANGLES else dict(_region(each) for each in word.split(","))
+        return _range(word, "rad") if kind in ANGLES else _regions(word)
     if name == "free":
         return tuple(word.split(","))
     return _number(word, "") if name == "weight" else word
+
+
+def _regions(word: str) -> dict[Any, Any]:
+    found: dict[Any, Any] = {}
+    for key, value in map(_region, word.split(",")):
+        if key in found:  # of which a dictionary would keep the last
+            raise ValueError(f"within names '{shown(key)}' twice; write one region of it")
+        found[key] = value
+    return found
 
 
 def _region(word: str) -> tuple[Any, Any]:

@@ -193,7 +193,7 @@ def check_given(who: str, task: Task, target: str, own_tip: bool = False) -> Non
         mend = "leave weight= out, or write it as a cost"
         raise ValueError(f"{who}: weight {task.weight:g} makes it soft, and here it is met; {mend}")
     if task.target is not None:
-        raise ValueError(f"{who}: {target} is its target; leave out Task.at")
+        raise ValueError(f"{who}: it has a target, and here {target} is its target; leave out Task.at ('at' in words)")
     if own_tip and task.relative is not None:
         raise ValueError(f"{who}: relative to '{shown(task.relative)}', and {target} is not; leave relative= out")
     if own_tip and task.tip is not None:

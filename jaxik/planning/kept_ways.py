@@ -60,7 +60,7 @@ class Along:
     """The tasks that are kept on a whole way of a robot, within a `tolerance` (2,) of their places [m] and turns [rad].
 
     Raises `ValueError` for tasks that are soft, for a function of one's own, whose deviations are not known between samples,
-    and for a tip that no joint moves.
+    for one that looks and has no target, and for a tip that no joint moves.
     """
 
     def __init__(self, who: str, robot: Robot, asked: Task | Sequence[Task], tolerance: tuple[float, float]):
@@ -71,6 +71,10 @@ class Along:
             if task.function is not None:
                 raise ValueError(
                     f"{who}: along: {task.words} is a function of one's own, which cannot be proven between samples"
+                )
+            if task.looks and task.target is None:  # at the start the tip is where it is to look
+                raise ValueError(
+                    f"{who}: along: {task.words} has no target to look at; give it one, task.at(pose), in words 'at'"
                 )
         self.each = each
         self.robot, tasks = tasks_of(who, robot, list(each))

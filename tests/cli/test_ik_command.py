@@ -125,6 +125,11 @@ def test_tasks_in_words(tmp_path, monkeypatch, capsys):
             tip = pose(q)
             np.testing.assert_allclose(tip[:3, 3], place, atol=1e-6)
             assert -tip[2, 2] >= np.cos(np.radians(10.0) + 1e-6)
+    with pytest.raises(SystemExit):
+        IKArguments(
+            task=("position", *(f"upright z within 10deg at 0,0,0,{turn}" for turn in ("1,0,0,0", "0,1,0,0"))), **asked
+        ).run()
+    assert "target 1: tip (roll pitch within 0.174533) and tip (roll pitch within 0.174533), 160 deg" in capsys.readouterr().out
     for wrong, words in (
         ({"task": ("uprigt z",)}, "did you mean 'upright'"),
         ({"task": ("position",), "free": ("yaw",)}, "write --task"),

@@ -61,6 +61,7 @@ def test_words_say_what_the_makers_make(text):
         ("distance", "needs its within"),
         ("distance 0.3..0.2", "low <= high"),
         ("pose within q=1", "roll, pitch, yaw"),
+        ("pose within x=0.1,x=0.2", "names 'x' twice"),
         ("pose free yav", "allowed: x, y"),
         ("plane z within wide", "is no number"),
         ("position at 1,2", "x,y,z"),

@@ -255,6 +255,7 @@ def test_a_motion_of_many_is_as_alone(seven):
         ({"along": "upright"}, "write a jaxik.Task"),
         ({"along": Task.upright(weight=1.0)}, "leave out its weight"),
         ({"along": Task.own(lambda tip, target: tip[:3, 3])}, "cannot be proven between samples"),
+        ({"along": [Task.upright(), Task.looking()]}, "looking has no target to look at"),
         ({"along": Task.upright(tip="base")}, "no joint moves base"),
         ({"along": Task.upright(tip="nothing")}, "no link 'nothing'"),
         ({"along": Task.upright(), "along_within": 0.0}, "two positive numbers"),
