@@ -40,6 +40,7 @@ from jaxik.pytree import read_only
 from jaxik.reasons import Reason
 from jaxik.spmd.batch import in_blocks
 
+DIGITS = 6  # behind the point of millimetres and degrees that are told: less is rounding
 LIBRARY = 4_096  # configurations that starts are taken from
 SEARCH, POLISH = bounded_newton.Options(rest=1e-3), bounded_newton.Options(rest=1e-10)
 STEPS = 30, 60  # at most, in float32 and in float64
@@ -100,9 +101,13 @@ def binding(problem: Problem) -> Binding:
     return Binding(problem.robot.joint_names, low, high, problem.tasks.bound)
 
 
-def nearest_words(binds: Binding | None, q: np.ndarray, away: np.ndarray, turned: np.ndarray, certain: bool) -> str:
-    """A line on the nearest posture q (n,): how far it is, which joints are at their limits, and whether it is proven."""
-    apart = f"{1e3 * np.linalg.norm(away):.4g} mm and {np.degrees(np.linalg.norm(turned)):.4g} deg from the target"
+def nearest_words(
+    binds: Binding | None, q: np.ndarray, away: np.ndarray, turned: np.ndarray, certain: bool, clash: bool = False
+) -> str:
+    """A line on the nearest posture q (n,): how far it is, which joints are at their limits, and whether it is proven; and
+    that two tasks contradict each other, where they do."""
+    far, wide = (round(scale * np.linalg.norm(x), DIGITS) for scale, x in ((1e3, away), (180.0 / np.pi, turned)))
+    apart = f"{far:.4g} mm and {wide:.4g} deg from the target"
     known = "proven to be the nearest" if certain else "not proven to be the nearest"
     if binds is None:
         return f"{Reason.NEAREST}: {apart}, {known}"
@@ -111,7 +116,7 @@ def nearest_words(binds: Binding | None, q: np.ndarray, away: np.ndarray, turned
     few = sum(value is not None for value in binds.low)  # joints that may move
     if not held and few < binds.bound:
         held = f"no limit binds, but {few} joints have not all of {binds.bound} components"
-    held = held or "no limit binds: its links end there"
+    held = held or f"no limit binds: {'these tasks contradict each other' if clash else 'its links end there'}"
     return f"{Reason.NEAREST}: {apart}, {known}; {held}"
 
 

@@ -70,8 +70,8 @@ class IKResult(Result):
 
     With a list of tips, or of tasks, position_error and rotation_error have a last axis (k,) of theirs, and task is the number
     of the one that the reason is of, -1 where it is of all or of none. beyond is how far a target lies past what the reach
-    bound of its tip allows [m], 0 where it does not. Where task and `other` contradict each other, apart (2,) is how far what
-    they allow is apart at least [m, rad].
+    bound of its tip allows [m], 0 where it does not. Where task and `other` contradict each other, and with `nearest=True` the
+    reason is NEAREST, too, apart (2,) is how far what they allow is apart at least [m, rad].
 
     With `nearest=True` the reason NEAREST says that q is the posture nearest to a target that has no answer; distance is how
     far it is [m], by `metres_per_radian`, and no posture is nearer than least_distance [m]; proven says whether the two are the
@@ -154,8 +154,9 @@ class IKResult(Result):
         told, shape = np.ravel(words).astype(object), np.shape(words)
         flat = lambda x: np.reshape(x, (len(told), -1))
         q, away, turned, certain = (flat(x) for x in (self.q, self.position_error, self.rotation_error, self.proven))
+        clash = np.ravel(self.other) >= 0
         for row in rows:
-            told[row] = nearest_words(self.joints, q[row], away[row], turned[row], bool(certain[row, 0]))
+            told[row] = nearest_words(self.joints, q[row], away[row], turned[row], bool(certain[row, 0]), bool(clash[row]))
         return told.astype(str).reshape(shape)
 
     @functools.cached_property
@@ -396,9 +397,10 @@ def _of_tasks(problem: Problem, outcome: Outcome) -> dict[str, np.ndarray]:
         beyond[out] = np.maximum(past.max(axis=1), 0.0)
         task[out] = np.where(beyond[out] > 0.0, past.argmax(axis=1), task[out])
     found = {"beyond": beyond, "other": np.full(count, -1), "apart": np.zeros((count, 2))}
-    if (rows := np.flatnonzero(reason == Reason.CONTRADICTION)).size:
+    if problem.tasks.stacked and (rows := np.flatnonzero(np.isin(reason, (Reason.CONTRADICTION, Reason.NEAREST)))).size:
         clash = contradictions(problem.tasks, problem.poses[rows], problem.tolerance[rows])
-        task[rows], found["other"][rows], found["apart"][rows] = clash
+        task[rows] = np.where(clash.found, clash.task, task[rows])
+        found["other"][rows], found["apart"][rows] = clash.other, clash.apart
     return found | {"task": np.where(reason == Reason.INVALID, problem.faulty, task)}
 
 

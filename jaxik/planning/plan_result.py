@@ -21,7 +21,7 @@ HELP = {
     Reason.OUT_OF_REACH: "give a pose within reach, or a task that binds less",
     Reason.NOT_CONVERGED: "another seed, more rounds, a longer timeout or a smaller margin may help",
     Reason.NO_WAY: "move what stands between, or ask for a smaller margin",
-    Reason.INVALID: "give finite numbers",
+    Reason.INVALID: "give finite numbers, and in a pose a rotation",
     Reason.OFF_TASK: "solve_ik with the tasks of along tells of a configuration that does what they ask",
 }
 ESCAPES = "escape=True leads out of it first"

@@ -72,6 +72,17 @@ def test_reasons_name_the_two_and_others_go_on():
     assert jaxik.solve_ik(PANDA, down, task=soft, collision=False).success
 
 
+def test_the_nearest_to_both_names_them():
+    """The tip is at its place, and turned by what is between both, of which each has half."""
+    tasks = [Task.upright().at(np.eye(4)), Task.pointing()]
+    turned = jaxik.pose([0.4, 0.0, 0.4], rpy=[0.0, 1.0, 0.0])
+    result = jaxik.solve_ik(PANDA, turned, task=tasks, collision=False, nearest=True, max_seeds=32)
+    assert result.reason == Reason.NEAREST and (result.task, result.other) == (0, 1)
+    np.testing.assert_allclose(result.apart, [0.0, 1.0], atol=1e-9)
+    np.testing.assert_allclose(result.rotation_error, 0.5, atol=1e-6)
+    assert "57.3 deg apart at least: nearest: 0 mm and 40.51 deg" in result.why and "contradict each other" in result.why
+
+
 def test_what_is_not_converged_says_by_how_much():
     """A camera that is to be over what it looks up at: no two sets contradict each other, and the errors are those of q."""
     tasks = [Task.looking(within=0.01), Task.position(within={"z": (0.1, 0.2), ("x", "y"): 0.01}), Task.upright(within=0.1)]
