@@ -92,11 +92,11 @@ def optimise_trajectory(
     `start`, `goal`, batches of them, and a list of scenes, one each, are those of `plan_motion`: configurations, of several the
     one that costs least, or poses `base_T_tip` [m], whose posture is free, and is optimised, too. `guess` (k, n) or (b, k, n)
     are configurations in equal times, from which to begin; without one, the fastest motion begins as the planner's, than which
-    it is no slower, and for one of least cost straight lines to several postures are compared. A joint without limits takes the
-    shorter turn to the goal, or that of the guess. `via` are pairs of a share of the duration, of which the nearest end of one
-    of the `spans` is meant, and a pose that the tip has there; `task` and `via_task` say what poses bind, of which
-    link, and relative to what. `seed` decides among postures and in the planner. `progress` is called with the motions that are
-    solved or refused, and the number of all. `changes` are fields of `TrajectoryOptions`.
+    it is no slower without a `jerk` limit, and for one of least cost straight lines to several postures are compared. A joint
+    without limits takes the shorter turn to the goal, or that of the guess. `via` are pairs of a share of the duration, of
+    which the nearest end of one of the `spans` is meant, and a pose that the tip has there; `task` and `via_task` say what
+    poses bind, of which link, and relative to what. `seed` decides among postures and in the planner. `progress` is called with
+    the motions that are solved or refused, and the number of all. `changes` are fields of `TrajectoryOptions`.
 
     Reasons: SOLVED, proven free between samples too, unless obstacles only cost, or are not looked at; INVALID, NaN; LIMITS, of
     the start or the goal, where their joints' range or a `torque` that does not hold the arm there is meant, or of velocities,
