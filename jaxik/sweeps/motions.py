@@ -71,7 +71,9 @@ def _tasks(row: Table, key: str) -> Any:
     """A task or tasks of one key: in words, or as they are."""
     given = row.content[key]
     each = given if isinstance(given, list | tuple) else [given]
-    return made(row, "change it", read_tasks, each) if each else None
+    if not each:
+        raise row.fail(f"{key} is an empty list", "write a line such as 'upright z within 10deg', or leave it out")
+    return made(row, "change it", read_tasks, each)
 
 
 def read_motions(table: Table, robots: list[Robot], targets: Targets, margin: float) -> Motions:

@@ -377,6 +377,7 @@ def test_crops_keep_clear_of_their_own_scene():
         ({"ik": {"choice": "best"}}, "choice 'best'"),
         ({"ik": {"task": "uprigt z"}}, "did you mean 'upright'"),
         ({"ik": {"task": ["position", "line"]}}, "write one task"),
+        ({"ik": {"task": []}}, "an empty list"),
         ({"ik": {"task": "position weight 1"}}, "weight 1 makes it soft"),
         ({"ik": {"task": "position tip hand"}}, "own tip is meant"),
         ({"ik": {"task": jaxik.Task.own(lambda tip, target: tip[:3, 3])}}, "write one in words"),
