@@ -26,6 +26,6 @@ def constrained_markdown(result: dict[str, Any]) -> str:
         "are ends before and beyond q6 = pi, where the forearm of a hand that points down is vertical: 0.2 m high, the elbow "
         "would be 0.358 m from the shoulder, and the upper arm is 0.327 m long. Of a goal as a pose another posture may do, "
         "if the start's side has one. The maze has walls of our own; as McVAMP's, its pen may be off by 10 mm and 10 mrad; "
-        " with the hand down it is the hand itself that goes between the walls, on the plane to 0.1 mm."
+        "with the hand down it is the hand itself that goes between the walls, on the plane to 0.1 mm."
     )
     return "\n".join([*lines, "", *textwrap.wrap(told, 130)])
