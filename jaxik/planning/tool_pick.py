@@ -38,6 +38,7 @@ EVERY, FEWEST, TOGETHER = (
 )  # stations from one to the next, of at least so many, for a rough way; its samples of several values
 STARTS = 4  # values that stay, from which a way is sought where the first one breaks
 PASSES = 3  # over the values, one after the other
+PROMISING = 0.95  # of the way, below which a rough one is followed
 WORTH = 0.99  # of the way, above which another pass is none
 METRE = 5.0  # [rad] that a metre of a free value counts for
 
@@ -105,8 +106,8 @@ def _of_one(asked: Asked, free: Free, poses: np.ndarray, one: int) -> Way | Cand
         count *= 2  # a narrow way needs more samples
     if not found:
         return coarse
-    rough, wide = _rough(asked, free, poses, (one,), count)
-    if isinstance(rough, Way) and not (np.abs(wide.between(found[0].q, rough.q)) <= wide.most).all():
+    rough, wide = _rough(asked, free, poses, (one,), count // 2)
+    if isinstance(rough, Way) and rough.total < PROMISING * found[0].total:
         way = _about(asked, poses, rough, one, spacing(count // 2), wide)
         found += [] if way is None else [way]
     return _best(asked, poses, found)

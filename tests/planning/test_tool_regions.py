@@ -141,8 +141,8 @@ def test_samples_of_what_is_free_lie_in_the_regions():
 @pytest.mark.parametrize(
     ("task", "words"),
     [
-        (jaxik.Task.pose(weight=1.0), "a weight makes it a preference"),
-        (jaxik.Task.pose().at(np.eye(4)), "the path gives the targets"),
+        (jaxik.Task.pose(weight=1.0), "plan_path: weight 1 makes it soft"),
+        (jaxik.Task.pose().at(np.eye(4)), "plan_path: the path is its target; leave out Task.at"),
         (jaxik.Task.own(lambda tip, target: (tip - target)[:3, 3]), "cannot be proven between poses"),
     ],
 )
