@@ -130,7 +130,7 @@ def _near(
 def step_costs(q: np.ndarray, source: np.ndarray, target: np.ndarray, steps: Steps) -> np.ndarray:
     """The costs (e,) of steps between candidates q (C, n), infinite where a joint moves further than it may."""
     how = np.array([steps.weights, steps.most, np.where(steps.round, TURN, 0.0)])
-    (cost,) = in_blocks(COSTS, source.astype(np.int32), target.astype(np.int32), fixed=(q, how), double=True)
+    (cost,) = in_blocks(COSTS, np.asarray(source, np.int32), np.asarray(target, np.int32), fixed=(q, how), double=True)
     return cost
 
 

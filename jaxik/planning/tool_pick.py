@@ -96,7 +96,7 @@ def _lost(found: Candidates) -> np.ndarray:
 def _of_one(asked: Asked, free: Free, poses: np.ndarray, one: int) -> Way | Candidates:
     """The way with one free value, where others are as usual."""
     values, found = np.repeat(free.usual[None], len(poses), axis=0), list[Way]()
-    count = _count(asked, free, poses, values, one)
+    count = first = _count(asked, free, poses, values, one)
     spacing = lambda count: float(free.spacing(count, (one,))[one])
     while not found or (found[-1].breaks.any() and count <= MOST and asked.options.samples is None):
         coarse = _along(asked, free, poses, values, one, count)
@@ -106,9 +106,9 @@ def _of_one(asked: Asked, free: Free, poses: np.ndarray, one: int) -> Way | Cand
         count *= 2  # a narrow way needs more samples
     if not found:
         return coarse
-    rough, wide = _rough(asked, free, poses, (one,), count // 2)
-    if isinstance(rough, Way) and rough.total < PROMISING * found[0].total:
-        way = _about(asked, poses, rough, one, spacing(count // 2), wide)
+    rough, wide = _rough(asked, free, poses, (one,), first)
+    if isinstance(rough, Way) and rough.total < PROMISING * min(way.total for way in found):
+        way = _about(asked, poses, rough, one, spacing(first), wide)
         found += [] if way is None else [way]
     return _best(asked, poses, found)
 
@@ -126,7 +126,7 @@ def _of_several(
     fewer = (_of_several(asked, free, poses, some, known) for some in free.fewer(ones))
     found = [way for way in fewer if isinstance(way, Way)]
     starts, lost = [way.values for way in found], list[Candidates]()
-    rough, _ = _rough(asked, free, poses, ones, asked.options.samples or TOGETHER)
+    rough, _ = _rough(asked, free, poses, ones, _together(asked, free, poses, ones))
     (starts if isinstance(rough, Way) else lost).append(rough.values if isinstance(rough, Way) else rough)
     still = [] if lost else [free.usual, *free.samples(STARTS, ones)]
     while starts:
@@ -221,6 +221,15 @@ def _by_turns(asked: Asked, free: Free, poses: np.ndarray, values: np.ndarray, o
             break
     assert best is not None
     return best
+
+
+def _together(asked: Asked, free: Free, poses: np.ndarray, ones: Ones) -> int:
+    """The number of samples of several free values by which a rough way has enough candidates, on average."""
+    if asked.options.samples is not None:
+        return int(asked.options.samples)
+    some = poses[:: max(1, len(poses) // TOLD)]
+    found = candidates(free, asked.space, some, free.samples(FIRST, ones), (ROOM, CUSHION))
+    return int(np.clip(FIRST * 2 * MEAN * len(some) / max(1, len(found.q)), LEAST, TOGETHER))
 
 
 def _along(asked: Asked, free: Free, poses: np.ndarray, values: np.ndarray, one: int, count: int) -> Candidates:
