@@ -1,8 +1,9 @@
 """A posture for each station of a tool's path, out of candidates.
 
 A single free value is sampled over its whole range, the way through its candidates is chosen, and then that through a finer
-grid about it. Where there are several, some stations are sampled first, all values together; then one value after the other is
-sampled as if it were the only one, through what the others have, until the way does not become shorter.
+grid about it. Where there are several, the ways with fewer of them are found first, and a rough one, all values sampled together at
+some stations; from each, one value after the other is sampled as if it were the only one, through what the others have, until the
+way does not become shorter. Ways are compared once they are moved to the least joint motion.
 """
 
 from __future__ import annotations
@@ -31,11 +32,8 @@ MEAN, ENOUGH = 100, 50  # candidates of a station that are asked for, on average
 FINE, REACH = 25, 1.5  # samples of the fine grid, and how far it reaches, in samples of the coarse one
 SLACK = 1.0  # by which a joint may move further on the coarse grid, of a sample's root: as far are two branches that meet
 AGAIN = 4  # times that candidates are chosen anew without those that prove to be none
-EVERY, FEWEST, TOGETHER = (
-    8,
-    8,
-    512,
-)  # stations from one to the next, of at least so many, for a rough way; its samples of several values
+EVERY, FEWEST = 8, 8  # stations from one to the next of a rough way, and of these at least
+TOGETHER = 512  # samples of several values together, at most
 STARTS = 4  # values that stay, from which a way is sought where the first one breaks
 PASSES = 3  # over the values, one after the other
 PROMISING = 0.95  # of the way, below which a rough one is followed
@@ -125,13 +123,20 @@ def _of_several(
         return known[ones]
     fewer = (_of_several(asked, free, poses, some, known) for some in free.fewer(ones))
     found = [way for way in fewer if isinstance(way, Way)]
-    starts, lost = [way.values for way in found], list[Candidates]()
+    usual = np.repeat(free.usual[None], len(poses), axis=0)
+    starts, lost = [way.values for way in found] or [usual], list[Candidates]()
     rough, _ = _rough(asked, free, poses, ones, _together(asked, free, poses, ones))
-    (starts if isinstance(rough, Way) else lost).append(rough.values if isinstance(rough, Way) else rough)
+    if isinstance(rough, Way):
+        starts.append(rough.values)
+    else:
+        lost.append(rough)
     still = [] if lost else [free.usual, *free.samples(STARTS, ones)]
     while starts:
         way = _by_turns(asked, free, poses, starts.pop(0), ones)
-        (found if isinstance(way, Way) else lost).append(way)
+        if isinstance(way, Way):
+            found.append(way)
+        else:
+            lost.append(way)
         if not starts and still and all(way.breaks.any() for way in found):  # else from other values that stay
             starts.append(np.repeat(still.pop(0)[None], len(poses), axis=0))
     known[ones] = _best(asked, poses, found) if found else lost[0]
@@ -160,7 +165,7 @@ def _whole(asked: Asked, free: Free, poses: np.ndarray, found: Candidates, rows:
     reason[rows] = found.reason
     bad = rows[_lost(found)]
     near = np.unique(np.concatenate([np.arange(a, b) for a, b in zip(*_around(rows, bad, len(poses)), strict=True)]))
-    closer = candidates(free, asked.space, poses[near], free.samples(4 * TOGETHER))
+    closer = candidates(free, asked.space, poses[near], free.samples(TOGETHER))
     reason[near] = np.where(_lost(closer), closer.reason, reason[near])
     return Candidates(found.q[:0], found.values[:0], np.zeros(len(poses) + 1, int), reason)
 
@@ -209,7 +214,7 @@ def _by_turns(asked: Asked, free: Free, poses: np.ndarray, values: np.ndarray, o
         for one in ones:
             count = _count(asked, free, poses, values, one)
             found = _along(asked, free, poses, values, one, count)
-            found = _closer(asked, free, poses, found, free.samples(16 * TOGETHER, ones))
+            found = _closer(asked, free, poses, found, free.samples(4 * TOGETHER, ones))
             if _lost(found).any():
                 return found
             way = _twice(asked, poses, found, one, float(free.spacing(count, (one,))[one]))
