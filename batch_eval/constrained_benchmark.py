@@ -21,6 +21,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import coal as fcl
 import numpy as np
 import pinocchio as pin
 from peers.collision_peers import Coal
@@ -37,11 +38,14 @@ CONES = 10.0, 5.0, 0.0  # [deg]
 MOMENTS = 10_000
 HEIGHT, NEAR, FAR = 0.2, 0.35, 0.65  # of the plane, and how far from the base the hand is on it [m]
 LINE = 0.45, (-0.4, 0.4)  # where it crosses x, and its ends [m]
-LOW, TOP, WALL = 0.03, 0.05, 0.005  # of the plane of the maze; how high and half how thick its walls are [m]
+LOW, TOP, WALL = 0.03, 0.05, 0.005  # of the tip of the pen in the maze; how high and half how thick its walls are [m]
+PEN = (0.1, 0.25), 0.004  # along the hand's z from and to, and its radius [m]
+LEVEL = Task.pose(("x", "y", "yaw"), axes="base")
+LEVEL_PEN = Task.pose(("x", "y", "yaw"), within={"z": 0.01, ("roll", "pitch"): 0.01}, axes="base")  # as the paper's [m, rad]
 WALLS = (-0.27, -0.09, 0.09, 0.27)  # across y; the inner ones have a gap at one end [m]
 MAZE, GAP = (0.3, 0.66), 0.17  # from and to along x, and how wide a gap is [m]
 DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
-PAPER = {"plane": "1,000 of 1,000 in 0.34 ms", "line": "758 of 766 in 0.11 ms"}
+PAPER = {"plane": "1,000 of 1,000 in 0.34 ms", "line": "758 of 766 in 0.11 ms", "maze": "79 of 100 in 4.4 ms"}
 COUNTS = {"plane": 1000, "line": 766, "maze": 100}
 CUBES, HALF, ROOM = 10, (0.003, 0.025), ((-0.1, 0.8), (-0.8, 0.8), (-0.2, 0.7))  # more a tenth; half their size; where [m]
 NEAREST = 0.01  # [m] that they are away from the ends at least
@@ -133,20 +137,37 @@ def parted(problem: Problem) -> bool:
 def pointing_down(robot: jaxik.Robot, name: str, count: int) -> list[Problem]:
     """The problems of a plane, of a line, or of a maze on a plane, with a hand that points down."""
     rng, empty = np.random.default_rng(0), jaxik.make_scene()
+    if name == "maze":
+        return mazes(robot, count, LEVEL, LOW)
     if name == "line":
         task = Task.pose(("y", "yaw"), axes="base").at(about(0.0, LINE[0], 0.0))
         draw = lambda goal: about(rng.uniform(-1.0, 1.0), LINE[0], rng.uniform(*LINE[1]))
         return between(robot, count, empty, task, draw)
-    level = Task.pose(("x", "y", "yaw"), axes="base")
-    if name == "plane":
 
-        def anywhere(goal: bool) -> np.ndarray:
-            angle, far = rng.uniform(-1.5, 1.5), rng.uniform(NEAR, FAR)
-            return about(rng.uniform(-1.0, 1.0), far * np.cos(angle), far * np.sin(angle))
+    def anywhere(goal: bool) -> np.ndarray:
+        angle, far = rng.uniform(-1.5, 1.5), rng.uniform(NEAR, FAR)
+        return about(rng.uniform(-1.0, 1.0), far * np.cos(angle), far * np.sin(angle))
 
-        return between(robot, count, empty, level.at(about(0.0, 0.0, 0.0)), anywhere)
-    low = about(0.0, 0.0, 0.0)
-    low[2, 3] = LOW
+    return between(robot, count, empty, LEVEL.at(about(0.0, 0.0, 0.0)), anywhere)
+
+
+def with_pen(robot: jaxik.Robot, coal: Coal) -> jaxik.Robot:
+    """The robot with a pen in its hand, which coal gets, too."""
+    (low, high), radius = PEN
+    hand = np.array(jaxik.forward_kinematics(robot, np.zeros(robot.num_joints)), float)
+    ends = [hand[:3, 3] + along * hand[:3, 2] for along in (low, high)]
+    scene = jaxik.make_scene(capsules=[[*ends[0], *ends[1], radius]])
+    placed = np.eye(4)
+    placed[2, 3] = 0.5 * (low + high)
+    coal.hold(HAND, fcl.Capsule(radius, high - low), placed)
+    return jaxik.collision.attach(robot, scene, scene.object_names[0], np.zeros(robot.num_joints)).robot
+
+
+def mazes(robot: jaxik.Robot, count: int, task: Task, high: float) -> list[Problem]:
+    """The problems of a plane between walls at which the hand is so high, from one lane to another."""
+    rng = np.random.default_rng(0)
+    level = about(0.0, 0.0, 0.0)
+    level[2, 3] = high
     wall = lambda x, y, a, b: [x, y, 0.5 * TOP - 0.01, a, b, TOP]
     middle, long = 0.5 * sum(MAZE), MAZE[1] - MAZE[0]
     walls = [wall(x, 0.0, 2.0 * WALL, WALLS[-1] - WALLS[0]) for x in MAZE]
@@ -157,22 +178,23 @@ def pointing_down(robot: jaxik.Robot, name: str, count: int) -> list[Problem]:
 
     def lane(goal: bool) -> np.ndarray:
         pose = about(rng.uniform(-1.0, 1.0), rng.uniform(MAZE[0] + 0.08, MAZE[1] - 0.08), 0.0)
-        pose[1:3, 3] = rng.uniform(0.04, 0.14) * (1.0 if goal else -1.0) + (0.09 if goal else -0.09), LOW
+        pose[1:3, 3] = rng.uniform(0.04, 0.14) * (1.0 if goal else -1.0) + (0.09 if goal else -0.09), high
         return pose
 
-    return between(robot, count, jaxik.make_scene(boxes=walls), level.at(low), lane)
+    return between(robot, count, jaxik.make_scene(boxes=walls), task.at(level), lane)
 
 
 def off(robot: pin.Model, frame: int, task: Task, q: np.ndarray) -> np.ndarray:
     """How far (2,) configurations are off at most, by Pinocchio: in the place [m] and the direction [rad] that a task binds."""
     data, target = robot.createData(), np.reshape(task.target, (4, 4))
     free = next(i for i in range(3) if not task.bound[3 + i])
-    cone = max((region.high for region in task.within), default=0.0)
+    beyond = {i: region.high for region in task.within for i in region.components}
+    cone, room = max(beyond.get(i, 0.0) for i in (3, 4, 5)), [beyond.get(i, 0.0) for i in range(3)]
     worst = np.zeros(2)
     for each in q:
         pin.framesForwardKinematics(robot, data, each)
         pose = data.oMf[frame]
-        place = np.where(task.bound[:3], pose.translation - target[:3, 3], 0.0)
+        place = np.where(task.bound[:3], np.maximum(np.abs(pose.translation - target[:3, 3]) - room, 0.0), 0.0)
         one, other = pose.rotation[:, free], target[:3, free]
         angle = np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other) if any(task.bound[3:]) else cone
         worst = np.maximum(worst, [np.linalg.norm(place), angle - cone])
@@ -245,8 +267,9 @@ def main() -> None:
             poses = [p._replace(goal=np.array(jaxik.forward_kinematics(robot, p.goal))) for p in problems]
             rows["plane, goals as poses"] = asked(robot, poses, judge, coal, wanted.some)
         if name in PAPER:
-            free = among_cubes(robot, problems)
-            result["paper"][name] = {"published": PAPER[name]} | asked(robot, free, judge, coal, wanted.some)
+            writer = with_pen(robot, coal) if name == "maze" else robot  # the last set: coal keeps the pen
+            free = mazes(writer, len(problems), LEVEL_PEN, LOW + PEN[0][1]) if name == "maze" else among_cubes(robot, problems)
+            result["paper"][name] = {"published": PAPER[name]} | asked(writer, free, judge, coal, wanted.some)
         print(name, json.dumps([rows, result["paper"]]), flush=True)
     wanted.out.write_text(json.dumps(result, indent=1) + "\n")
 

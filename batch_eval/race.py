@@ -38,6 +38,7 @@ PACKAGES = (
     "adam-robotics",
     "vamp-planner",
     "ompl",
+    "tesseract-robotics",
 )
 PLAIN = "the same function, plain jax.jit"  # kernels keep it as `__wrapped__`
 

@@ -1,9 +1,9 @@
-"""Tool paths: `python batch_eval/tool_paths_benchmark.py --paths FOLDER --panda FOLDER [--mends 50] [--only PART]`.
+"""Tool paths: `python batch_eval/tool_paths_benchmark.py --paths FOLDER --panda FOLDER [--tesseract] [--only PART]`.
 
-Needs `pip install -e ".[test,peers]"`. Prints, and writes `batch_eval/tool_paths_benchmark.json`. `--paths` holds the problems
-of CppFlow (`setups/tool_paths.py`), `--panda` the robot of MotionBenchMaker (`setups/motionbenchmaker.py`). Motions are judged
-from outside: the tip by Pinocchio at each pose and at moments between, against the straight line between poses; collision by
-coal.
+Needs `pip install -e ".[test,peers]"`, and `--tesseract` also `pip install tesseract-robotics==0.5.1`. Prints, and writes
+`batch_eval/tool_paths_benchmark.json`. `--paths` holds the problems of CppFlow (`setups/tool_paths.py`), `--panda` the robot of
+MotionBenchMaker (`setups/motionbenchmaker.py`). Motions are judged from outside: the tip by Pinocchio at each pose and at
+moments between, against the straight line between poses; collision by coal.
 """
 
 from __future__ import annotations
@@ -34,9 +34,11 @@ ROWS, ROW, HEIGHT = 50, 100, 0.004  # the raster: rows, poses of each, distance 
 REPEATS = 5
 BASE, PLATE = "universe", "plate"
 CONE = 0.1  # [rad]
-PARTS = "raster", "paths", "freedoms", "mended"
+PARTS = "raster", "paths", "freedoms", "tesseract", "mended"
+EXTRA = {"tesseract": "tesseract", "mended": "mends"}  # parts that a flag asks for
 Ends = tuple[str, str]  # a link, and the one in whose frame it is looked at
 Turn = Callable[[Rotation], np.ndarray]
+VALID = 0.1, 0.1, 7.0  # CppFlow's own limits: off at the poses [mm, deg], and the step of a joint from pose to pose [deg]
 
 
 def whole_turn(turned: Rotation) -> np.ndarray:
@@ -181,6 +183,31 @@ def on_table(panda: Path) -> tuple[Any, ...]:
     return "a table that turns", robot, Coal(robot, file, srdf, posture=posture), problem, task, (TIP, PLATE), whole_turn
 
 
+def by_tesseract(paths: Path, panda: Path) -> list[dict[str, Any]]:
+    """The same paths by Tesseract's planners, once each, and by jaxik, warm, in turn with them, under one judge."""
+    from peers.tesseract_paths import Tesseract
+
+    robot, rows = motionbenchmaker.load_robot(panda, TIP), []
+    urdf, srdf = motionbenchmaker.files(panda)
+    coal = Coal(robot, urdf, srdf, posture=motionbenchmaker.posture(panda, robot))
+    for problem in tool_paths.problems(paths):
+        peer = Tesseract(robot, urdf, srdf, TIP, problem.scene)
+        run = lambda problem=problem: jaxik.plan_path(robot, problem.poses, scene=problem.scene)
+        run()
+        tried = {"jaxik": clocked(run), "Descartes": peer.laddered(problem.poses)}
+        if begun := tried["Descartes"][0]:
+            tried["TrajOpt after it"] = peer.smoothed(problem.poses, begun)
+        for who, (found, seconds) in tried.items():
+            row = {"name": problem.name, "by": who, "seconds": seconds, "solved": bool(found)}
+            if found:
+                row |= judged(coal, (TIP, BASE), problem, found)
+                row["length_rad"] = float(np.linalg.norm(np.diff(found.q, axis=0), axis=1).sum())
+                row["valid"] = row["free"] and bool(np.all(np.less_equal([*row["at_poses"], row["step_deg"]], VALID)))
+            rows.append(row)
+            print(json.dumps(row), flush=True)
+    return rows
+
+
 def raster(rows: int = ROWS, count: int = ROW) -> np.ndarray:
     """Poses of a raster on a table, the tool pointing down, there and back."""
     down = np.diag([1.0, -1.0, -1.0])
@@ -256,14 +283,16 @@ def main() -> None:
     parser.add_argument("--panda", type=Path, required=True)
     parser.add_argument("--mends", type=int, default=0, help="of paths that cannot be done")
     parser.add_argument("--only", choices=PARTS, help="one part, which is printed and not written")
+    parser.add_argument("--tesseract", action="store_true", help="the same paths by Tesseract's planners")
     asked = parser.parse_args()
     parts: dict[str, Callable[[], Any]] = {
         "raster": large_raster,
         "paths": lambda: among_boxes(asked.paths, asked.panda),
         "freedoms": lambda: freedoms(asked.paths, asked.panda),
+        "tesseract": lambda: by_tesseract(asked.paths, asked.panda),
         "mended": lambda: mended(asked.mends),
     }
-    chosen = [asked.only] if asked.only else [name for name in PARTS if name != "mended" or asked.mends]
+    chosen = [asked.only] if asked.only else [name for name in PARTS if getattr(asked, EXTRA.get(name, ""), True)]
     result = {"machine": machine()} | {name: parts[name]() for name in chosen}
     if asked.only:
         print(json.dumps(result[asked.only]))

@@ -129,6 +129,12 @@ class Coal(Peer):
         self.data = self.model.createData()
         self.names, self.posture = robot.joint_names, posture or {}
 
+    def hold(self, frame: str, shape: Any, placed: np.ndarray) -> None:
+        """Gives the robot a thing that is placed (4, 4) in a frame, and may hit the scene."""
+        held = self.model.frames[self.model.getFrameId(frame)]
+        where = held.placement * pin.SE3(placed)
+        self.robot.addGeometryObject(pin.GeometryObject("held", held.parentJoint, where, shape))
+
     def prepared(self, scene: jaxik.Scene) -> Any:
         """The geometry of the robot and the scene, and the tree over it."""
         shapes = {

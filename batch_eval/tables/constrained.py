@@ -25,7 +25,7 @@ def constrained_markdown(result: dict[str, Any]) -> str:
         "small cubes; theirs are checked at samples, and their times are those of the search alone, in C++. `without a motion` "
         "are ends before and beyond q6 = pi, where the forearm of a hand that points down is vertical: 0.2 m high, the elbow "
         "would be 0.358 m from the shoulder, and the upper arm is 0.327 m long. Of a goal as a pose another posture may do, "
-        "if the start's side has one. McVAMP's maze (79 of 100 in 4.4 ms) has a pen in the hand, above its walls; here the "
-        "hand itself is between the walls."
+        "if the start's side has one. The maze has walls of our own; as McVAMP's, its pen may be off by 10 mm and 10 mrad; "
+        "with the hand down it is the hand itself that goes between the walls, on the plane to 0.1 mm."
     )
     return "\n".join([*lines, "", *textwrap.wrap(told, 130)])

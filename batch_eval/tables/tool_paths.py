@@ -37,4 +37,20 @@ def tool_paths_markdown(result: dict[str, Any]) -> str:
             f" Of {mended['cases']} random paths that cannot be done {mended['told']} are told a mend, and {mended['work']} of "
             f"these work; {mended['seconds']:.1f} s (median)."
         )
-    return "\n".join([*lines, "", *textwrap.wrap(text, 130)])
+    return "\n".join([*lines, "", *textwrap.wrap(text, 130), *_by_others(result.get("tesseract", []))])
+
+
+def _by_others(rows: list[dict[str, Any]]) -> list[str]:
+    """A row for each of the paths and each planner, in the order of the run."""
+    if not rows:
+        return []
+    heads = "path", "by", "seconds", "solved", "valid", "free", "off at the poses", "off between", "largest step", "length"
+    lines = ["", f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
+    for row in rows:
+        told = row["name"].split("__")[-1], row["by"], f"{row['seconds']:.2f}", "yes" if row["solved"] else "NO"
+        if row["solved"]:
+            told += tuple("yes" if row[key] else "NO" for key in ("valid", "free"))
+            told += tuple(f"{row[key][0]:.3f} mm, {row[key][1]:.3f} deg" for key in ("at_poses", "between"))
+            told += f"{row['step_deg']:.1f} deg", f"{row['length_rad']:.2f} rad"
+        lines.append(f"| {' | '.join([*told, *['-'] * (len(heads) - len(told))])} |")
+    return lines

@@ -1,9 +1,9 @@
 """A posture for each station of a tool's path, out of candidates.
 
 A single free value is sampled over its whole range, the way through its candidates is chosen, and then that through a finer
-grid about it. Where there are several, the ways with fewer of them are found first, and a rough one, all values sampled together
-at some stations; from each, one value after the other is sampled as if it were the only one, through what the others have, until
-the way does not become shorter. Ways are compared once they are moved to the least joint motion.
+grid about it. Where there are several, the ways with fewer of them are found first, and a rough one, all values sampled
+together at some stations; from each, one value after the other is sampled as if it were the only one, through what the
+others have, until the way does not become shorter. Ways are compared once they are moved to the least joint motion.
 """
 
 from __future__ import annotations
