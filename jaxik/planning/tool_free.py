@@ -104,7 +104,7 @@ class Free(NamedTuple):
         return f"{many} values are free, and {MOST_FREE} at most are sampled" if many > MOST_FREE else ""
 
     def fewer(self, ones: Ones) -> list[Ones]:
-        """What is left of some values without one freedom: one of the task, the first of more than two, or else a joint."""
+        """Returns some values without one freedom, left out in turn: one of the task, the first of more than two, or else a joint."""
         joints = [i for i in ones if i < len(self.outer) + self.given]
         begin, parts = len(self.outer) + self.given, list[set[int]]()
         for size in _sizes(self.task):
@@ -152,7 +152,7 @@ class Free(NamedTuple):
 
     @property
     def turn(self) -> np.ndarray:
-        """What each value (k,) goes round by; infinite of those that do not."""
+        """The range that each value (k,) goes round by; infinite of those that do not."""
         return np.where(self.round, self.upper - self.lower, np.inf)
 
     def solved(self, poses: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

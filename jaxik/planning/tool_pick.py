@@ -180,7 +180,7 @@ def _around(rows: np.ndarray, bad: np.ndarray, count: int) -> tuple[list[int], l
 def _rough(asked: Asked, free: Free, poses: np.ndarray, ones: Ones, count: int) -> tuple[Way | Candidates, Steps]:
     """The way through a few stations, straight between these, with some free values sampled together; and its steps.
 
-    From station to station a sample is kept, or left for another one far off, which is longer than what moves evenly; over
+    A sample is kept from station to station, or left for another one far off, which is longer than what moves evenly; over
     several stations that is told less wrongly.
     """
     every = max(1, min(EVERY, len(poses) // FEWEST))
