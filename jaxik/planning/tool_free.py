@@ -104,7 +104,7 @@ class Free(NamedTuple):
         return f"{many} values are free, and {MOST_FREE} at most are sampled" if many > MOST_FREE else ""
 
     def fewer(self, ones: Ones) -> list[Ones]:
-        """Returns some values without one freedom, left out in turn: one of the task, the first of more than two, or else a joint."""
+        """Returns values without one freedom, each in turn: one of the task, the first of more than two, or else a joint."""
         joints = [i for i in ones if i < len(self.outer) + self.given]
         begin, parts = len(self.outer) + self.given, list[set[int]]()
         for size in _sizes(self.task):
