@@ -5,18 +5,27 @@ from __future__ import annotations
 import textwrap
 from typing import Any
 
+KINDS = {
+    "two free values": "the turn about the tool",
+    "a cone": "that, and a tilt of 0.1 rad",
+    "a table that turns": "the table",
+}
+
 
 def tool_paths_markdown(result: dict[str, Any]) -> str:
-    """A row for each of CppFlow's paths, and a line each on the raster and the mends."""
-    heads = "path", "poses", "solved", "free", "a call", "largest step", "length", "least time", "off, proven"
+    """A row for each of CppFlow's paths, of these and others with more freedom, and a line each on the raster and the mends."""
+    heads = "path", "free beside the arm", "poses", "solved", "free", "a call", "largest step", "length", "off, proven"
     lines = [f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
-    for row in result["paths"]:
-        told = [f"{'yes' if row[key] else 'NO'}" for key in ("solved", "free")]
-        off = f"{row['proven'][0]:.3f} mm, {row['proven'][1]:.3f} deg"
-        sizes = f"{row['step_deg']:.1f} deg | {row['length_rad']:.2f} rad | {row['duration_s']:.2f} s | {off}"
-        lines.append(
-            f"| {row['name'].split('__')[-1]} | {row['poses']} | {' | '.join(told)} | {row['seconds']:.2f} s | {sizes} |"
-        )
+    for row in [*result["paths"], *result.get("freedoms", ())]:
+        name = row["name"].split("__")[-1]
+        told = [name, KINDS.get(row.get("kind"), "-"), str(row["poses"]), "yes" if row["solved"] else "NO"]
+        if row["solved"]:
+            off = f"{row['proven'][0]:.3f} mm, {row['proven'][1]:.3f} deg"
+            told += ["yes" if row["free"] else "NO", f"{row['seconds']:.2f} s", f"{row['step_deg']:.1f} deg"]
+            told += [f"{row['length_rad']:.2f} rad", off]
+        else:
+            told += ["-", f"{row['seconds']:.2f} s", "-", "-", "-"]
+        lines.append(f"| {' | '.join(told)} |")
     raster = result["raster"]
     text = (
         f"A raster of {raster['poses']:,} poses with a free tool axis takes a {raster['robot']} {raster['seconds']:.1f} s, "

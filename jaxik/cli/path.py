@@ -5,15 +5,16 @@ from __future__ import annotations
 import dataclasses
 import time
 from pathlib import Path
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import tyro
 
 import jaxik
-from jaxik.cli.arguments import SearchArguments, flags, given
+from jaxik.cli.arguments import SearchArguments, flags, given, task_flag
 from jaxik.cli.results import check_writable, writing
 from jaxik.cli.terminal import Unsolved
+from jaxik.kinematics.task_text import read_tasks
 from jaxik.planning import PathOptions
 from jaxik.planning.trajectory_files import ENDINGS
 
@@ -29,6 +30,8 @@ FLAGS = flags(
     velocity=float | None,
     acceleration=float | None,
     jerk=float | None,
+    tip_speed=float | None,
+    tip_turn=float | None,
 )
 
 
@@ -36,10 +39,13 @@ FLAGS = flags(
 class PathArguments(FLAGS, SearchArguments):
     """A motion whose tip follows a path of poses, proven between them, too, timed at a feed within the joints' limits."""
 
+    SEVERAL: ClassVar[bool] = True  # a tool, and the plate that it moves on
     path: tyro.conf.Positional[Path]
-    """The poses, in the robot's base (.csv, .npz, .json): x, y, z [m] and qw, qx, qy, qz, a row each."""
+    """The poses, in the robot's base, or in the frame of what the task is relative to (.csv, .npz, .json): x, y, z [m] and qw,
+    qx, qy, qz, a row each."""
     free_axis: Literal["x", "y", "z"] | None = None
     """The tool's axis about which it may turn as it likes."""
+    task: task_flag("What each pose binds") = ()  # type: ignore[valid-type]
     mend: bool = True
     """Look for the least change that lets a path be done that cannot be."""
     dt: float = 0.01
@@ -58,8 +64,7 @@ class PathArguments(FLAGS, SearchArguments):
             check_writable(self.picture, "--picture", (".png", ".svg", ".pdf"))
         robot = jaxik.load(self.robot, **self.loading())
         scene = jaxik.make_scene() if self.scene is None else jaxik.load_scene(self.scene)
-        task = jaxik.Task() if self.free_axis is None else jaxik.Task.pointing(self.free_axis)
-        options = PathOptions(task=task, **given(self, PathOptions))
+        options = PathOptions(**given(self, PathOptions) | {"task": self._task()})
         poses = jaxik.load_targets(self.path)
         began = time.perf_counter()
         found = jaxik.plan_path(robot, poses, scene=scene, seed=self.seed, options=options)
@@ -77,3 +82,12 @@ class PathArguments(FLAGS, SearchArguments):
             jaxik.planning.save_trajectory(found.trajectory, aside, dt=self.dt)
         lifts = f", lifts off {len(found.lifts)} times" * bool(found.lifts)
         print(f"{found.duration:.2f} s along {found.s[-1]:.3g} m{lifts}, planned in {seconds:.2f} s; {wrote}")
+
+    def _task(self) -> Any:
+        if self.task and self.free_axis is not None:
+            raise ValueError(f"--task says what --free-axis does; write --task 'pointing {self.free_axis}'")
+        if len(self.task) > 1:
+            raise ValueError(f"--task: {len(self.task)} times; a path is that of one tip, write --task once")
+        if self.task:
+            return read_tasks(self.task)
+        return jaxik.Task() if self.free_axis is None else jaxik.Task.pointing(self.free_axis)

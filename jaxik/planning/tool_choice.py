@@ -122,10 +122,16 @@ def _near(
     target = np.repeat(np.arange(some.start, some.start + len(many), dtype=np.int32), many)
     number = np.arange(len(target)) - np.repeat(np.cumsum(many) - many, many)
     source = order[low[target] + number].astype(np.int32)
-    how = np.array([steps.weights, steps.most, np.where(steps.round, TURN, 0.0)])
-    (cost,) = in_blocks(COSTS, source, target, fixed=(q, how), double=True)
+    cost = step_costs(q, source, target, steps)
     kept = np.flatnonzero(np.isfinite(cost))
     return source[kept], target[kept], cost[kept]
+
+
+def step_costs(q: np.ndarray, source: np.ndarray, target: np.ndarray, steps: Steps) -> np.ndarray:
+    """The costs (e,) of steps between candidates q (C, n), infinite where a joint moves further than it may."""
+    how = np.array([steps.weights, steps.most, np.where(steps.round, TURN, 0.0)])
+    (cost,) = in_blocks(COSTS, np.asarray(source, np.int32), np.asarray(target, np.int32), fixed=(q, how), double=True)
+    return cost
 
 
 def _cost(source: Any, target: Any, q: Any, how: Any) -> Any:

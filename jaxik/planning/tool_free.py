@@ -28,6 +28,8 @@ from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
 MOST_FREE = 5  # values that are sampled
+TINY = 1e-9  # of a ball's radius: a direction, and no way
+Ones = tuple[int, ...]  # the numbers of some of the free values
 
 
 def compared_round(robot: Robot, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -35,10 +37,20 @@ def compared_round(robot: Robot, lower: np.ndarray, upper: np.ndarray) -> np.nda
     return endless(robot) | (~np.array(robot.is_prismatic) & (upper - lower >= TURN))
 
 
+def straight_rows(rows: np.ndarray, values: np.ndarray, turn: np.ndarray, count: int) -> np.ndarray:
+    """Values (count, k) straight from those (m, k) of some `rows` to the next, by the shorter way of what goes round by a
+    `turn` (k,)."""
+    moved = np.diff(values, axis=0)
+    moved -= np.where(np.isfinite(turn), turn, 0.0) * np.round(moved / turn)
+    run = values[0] + np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(moved, axis=0)])
+    return np.stack([np.interp(np.arange(count), rows, column) for column in run.T], axis=1)
+
+
 class Free(NamedTuple):
     """The free values (k,) of a task and a robot: their range, which of them go round, and which are metres; `outer` joints of
     the robot come first, then what the closed form of the `arm` is given, then those of the task. The joints `own` are the
-    arm's; others stay at `rest` (n,). `seen` is the number of the tip that the path is relative to, or the base's."""
+    arm's; others stay at `rest` (n,). `seen` is the number of the tip that the path is relative to, or the base's. Without a
+    freedom its values are `usual` (k,): a joint in the middle of its range, the tip at its pose, or near to it in a region."""
 
     robot: Robot
     arm: Robot
@@ -52,6 +64,7 @@ class Free(NamedTuple):
     upper: np.ndarray
     round: np.ndarray
     slides: np.ndarray
+    usual: np.ndarray
 
     @staticmethod
     def of(robot: Robot, tasks: Tasks) -> Free:
@@ -71,7 +84,8 @@ class Free(NamedTuple):
         rest = np.clip(0.0, robot.lower, robot.upper)
         lower, upper, whole, metres = columns
         parts = robot, arm, np.array(own), np.array(outer, int), rest, seen, task, len(form.names)
-        return Free(*parts, lower, upper, whole.astype(bool), metres.astype(bool))
+        usual = np.concatenate([0.5 * (lower + upper)[: len(joints)], _usual(task)])
+        return Free(*parts, lower, upper, whole.astype(bool), metres.astype(bool), usual)
 
     @staticmethod
     def obstacle(robot: Robot, tasks: Tasks) -> str:
@@ -89,31 +103,46 @@ class Free(NamedTuple):
         many = len(outer) + len(redundancy(arm).names) + len(_of_task(task))
         return f"{many} values are free, and {MOST_FREE} at most are sampled" if many > MOST_FREE else ""
 
-    def samples(self, count: int) -> np.ndarray:
-        """Samples (S, k) of the whole range, so many."""
-        k = len(self.lower)
-        if not k:
-            return np.zeros((1, 0))
-        if k == 1:
-            return self.along(np.zeros((1, 1)), 0, count)[0]
+    def fewer(self, ones: Ones) -> list[Ones]:
+        """Returns values without one freedom, each in turn: one of the task, the first of more than two, or else a joint."""
+        joints = [i for i in ones if i < len(self.outer) + self.given]
+        begin, parts = len(self.outer) + self.given, list[set[int]]()
+        for size in _sizes(self.task):
+            parts += [{*range(begin, begin + size)}]
+            begin += size
+        parts = [each for each in parts if each & {*ones}]
+        parts = parts[: 1 if len(parts) > 2 else 2] or [{i} for i in joints]
+        left = [tuple(i for i in ones if i not in each) for each in parts]
+        return [each for each in left if each]
+
+    def samples(self, count: int, ones: Ones | None = None) -> np.ndarray:
+        """Samples (S, k) of the whole range of all values, or of some while others are as usual; so many."""
+        free = np.arange(len(self.lower)) if ones is None else np.array(ones)
+        k = len(free)
+        if k < 2:
+            return self.along(self.usual[None], int(free[0]), count)[0] if k else self.usual[None]
         ratio = 1.0
         for _ in range(40):  # the root of x^(k + 1) = x + 1
             ratio = (1.0 + ratio) ** (1.0 / (k + 1))
         share = (0.5 + np.arange(1, count + 1)[:, None] * ratio ** -np.arange(1.0, k + 1)) % 1.0
-        return self.lower + share * (self.upper - self.lower)
+        found = np.repeat(self.usual[None], count, axis=0)
+        found[:, free] = self.lower[free] + share * (self.upper - self.lower)[free]
+        return found
 
-    def spacing(self, count: int) -> np.ndarray:
-        """The distance (k,) between neighbours of so many samples."""
-        k = len(self.lower)
-        each = count ** (1.0 / k) if k else 1.0
-        return (self.upper - self.lower) / np.where(self.round, each, max(each - 1.0, 1.0))
+    def spacing(self, count: int, ones: Ones) -> np.ndarray:
+        """The distance (k,) between neighbours of so many samples of some values, 0 of others."""
+        each, free = count ** (1.0 / len(ones)), np.isin(np.arange(len(self.lower)), ones)
+        return np.where(free, self.upper - self.lower, 0.0) / np.where(self.round, each, max(each - 1.0, 1.0))
 
     def along(self, values: np.ndarray, one: int, count: int) -> np.ndarray:
-        """Samples (M, S, k) through values (M, k), over the whole range of one of them."""
-        low, high, many = self.lower[one], self.upper[one], max(2, count)
-        found = np.repeat(values[:, None], many, axis=1)
-        found[..., one] = low + (high - low) * np.arange(many) / (many if self.round[one] else many - 1)
-        return found
+        """Samples (M, S, k) through values (M, k), over the whole range of one of them, in its order, and these values."""
+        low, span, many = self.lower[one], (self.upper - self.lower)[one], max(2, count)
+        found = np.repeat(values[:, None], many + 1, axis=1)
+        found[:, :many, one] = low + span * np.arange(many) / (many if self.round[one] else many - 1)
+        if self.round[one]:
+            found[:, many, one] = low + (values[:, one] - low) % span
+        order = np.argsort(found[..., one], axis=1)
+        return np.take_along_axis(found, order[..., None], axis=1)
 
     def about(self, values: np.ndarray, one: int, reach: float, count: int) -> np.ndarray:
         """Samples (M, S, k) through values (M, k), of one of them up to a `reach` to both sides."""
@@ -121,13 +150,10 @@ class Free(NamedTuple):
         found[..., one] += np.linspace(-reach, reach, count)
         return np.where(self.round, found, np.clip(found, self.lower, self.upper))
 
-    def between(self, rows: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-        """Values (M, k) of so many stations, straight from those (m, k) of some `rows` to the next."""
-        turn = self.upper - self.lower
-        moved = np.diff(values, axis=0)
-        moved -= np.where(self.round, turn * np.round(moved / np.where(self.round, turn, 1.0)), 0.0)
-        run = values[0] + np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(moved, axis=0)])
-        return np.stack([np.interp(np.arange(count), rows, column) for column in run.T], axis=1)
+    @property
+    def turn(self) -> np.ndarray:
+        """The range that each value (k,) goes round by; infinite of those that do not."""
+        return np.where(self.round, self.upper - self.lower, np.inf)
 
     def solved(self, poses: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """All branches (P, 8, n) of poses (P, 4, 4) with free values (P, k), which of them have the pose, and which are inside
@@ -163,6 +189,11 @@ def _arm(robot: Robot, tip: int, own: tuple[int, ...]) -> Robot:
     return robot if whole else arm_to(robot, tip, list(own))
 
 
+def _sizes(task: Task) -> list[int]:
+    """The number of values of each freedom of a task: its regions, and the turn about an axis."""
+    return [len(each.components) for each in task.within] + [1] * (len(task.rotations) == 2)
+
+
 def _of_task(task: Task) -> list[tuple[float, float, bool, bool]]:
     """The range of each value that a task leaves free, whether it goes round, and whether it is metres."""
     found = []
@@ -170,6 +201,15 @@ def _of_task(task: Task) -> list[tuple[float, float, bool, bool]]:
         metres, several = each.components[0] < 3, len(each.components) > 1
         found += [(-1.0, 1.0, False, metres) if several else (each.low, each.high, False, metres)] * len(each.components)
     return found + [(-np.pi, np.pi, True, False)] * (len(task.rotations) == 2)
+
+
+def _usual(task: Task) -> list[float]:
+    """The value of each that is at the pose, or in the region next to it."""
+    found = list[float]()
+    for each in task.within:
+        several = len(each.components) > 1
+        found += [TINY, *[0.0] * (len(each.components) - 1)] if several else [float(np.clip(0.0, each.low, each.high))]
+    return found + [0.0] * (len(task.rotations) == 2)
 
 
 def _shifted(task: Task, poses: np.ndarray, values: np.ndarray) -> np.ndarray:

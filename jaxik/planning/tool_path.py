@@ -21,7 +21,7 @@ from jaxik.files.targets import load_targets
 from jaxik.ik.problem import FAULTS, Poses
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import Task
-from jaxik.kinematics.tasks import Tasks, tasks_of
+from jaxik.kinematics.tasks import Tasks, check_given, tasks_of
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.tool_choice import Steps
 from jaxik.planning.tool_follow import Followed
@@ -88,13 +88,10 @@ def plan_path(
 
 def check_task(asked: Task, tasks: Tasks) -> None:
     """Raises `ValueError` for a task that is none of a path."""
+    check_given("plan_path", asked, "the path")
     mend = ""
     if len(tasks.each) != 1:
         mend = f"a path is that of one tip, and there are {', '.join(tasks.names)}; name it by tip="
-    elif asked.target is not None:
-        mend = "the path gives the targets; leave out at()"
-    elif asked.weight is not None:
-        mend = "a weight makes it a preference, and a path is kept; leave it out, and say how far off by within="
     elif asked.function is not None:
         mend = "a function of one's own cannot be proven between poses; allowed: poses, their regions, and looking"
     if mend:

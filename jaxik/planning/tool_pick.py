@@ -1,8 +1,9 @@
 """A posture for each station of a tool's path, out of candidates.
 
 A single free value is sampled over its whole range, the way through its candidates is chosen, and then that through a finer
-grid about it. Where there are several, some stations are sampled first, all values together; then one value after the other is
-sampled as if it were the only one, through what the others have, until the way does not become shorter.
+grid about it. Where there are several, the ways with fewer of them are found first, and a rough one, all values sampled
+together at some stations; from each, one value after the other is sampled as if it were the only one, through what the
+others have, until the way does not become shorter. Ways are compared once they are moved to the least joint motion.
 """
 
 from __future__ import annotations
@@ -15,14 +16,15 @@ from jaxik.collision.scene import Scene
 from jaxik.kinematics.joint_turns import TURN
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.tool_candidates import Candidates, candidates
-from jaxik.planning.tool_choice import BREAK, Chosen, Steps, chosen
+from jaxik.planning.tool_choice import BREAK, Chosen, Steps, chosen, step_costs
 from jaxik.planning.tool_follow import Followed
-from jaxik.planning.tool_free import Free
+from jaxik.planning.tool_free import Free, Ones, straight_rows
 from jaxik.planning.tool_line import ToolLine
 from jaxik.planning.tool_options import PathOptions
 from jaxik.planning.tool_strands import strands
 from jaxik.reasons import Reason
 
+SPACING = 0.01  # [m] of stations at most
 ROOM, CUSHION = 3e-3, 1e-3  # [rad, m] from the limits, [m] beyond the margin, that configurations keep for what is between
 FIRST, LEAST, MOST = 64, 8, 1024  # samples to begin with, at least, and at most
 TOLD = 50  # stations by which the number of samples is told
@@ -30,10 +32,11 @@ MEAN, ENOUGH = 100, 50  # candidates of a station that are asked for, on average
 FINE, REACH = 25, 1.5  # samples of the fine grid, and how far it reaches, in samples of the coarse one
 SLACK = 1.0  # by which a joint may move further on the coarse grid, of a sample's root: as far are two branches that meet
 AGAIN = 4  # times that candidates are chosen anew without those that prove to be none
-SOME, TOGETHER = 64, 128  # stations at which several values are sampled together, and samples of them to begin with
+EVERY, FEWEST = 8, 8  # stations from one to the next of a rough way, and of these at least
+TOGETHER = 512  # samples of several values together, at most
 STARTS = 4  # values that stay, from which a way is sought where the first one breaks
 PASSES = 3  # over the values, one after the other
-SINGLE = 160  # samples of one of several values
+PROMISING = 0.95  # of the way, below which a rough one is followed
 WORTH = 0.99  # of the way, above which another pass is none
 METRE = 5.0  # [rad] that a metre of a free value counts for
 
@@ -48,6 +51,11 @@ class Asked(NamedTuple):
     space: CollisionChecker | None
     options: PathOptions
     seed: int
+
+    @property
+    def stations(self) -> np.ndarray:
+        """All s (M,) at which a posture is chosen [m]."""
+        return self.line.stations(SPACING)
 
     def moved(self, by: np.ndarray, options: PathOptions | None = None) -> Asked:
         """The same of the path moved by a transform (4, 4), or with other options."""
@@ -67,51 +75,88 @@ class Way(NamedTuple):
 def pick(asked: Asked, poses: np.ndarray) -> Way | Candidates:
     """The way through stations (M, 4, 4); or the candidates, where stations have none."""
     follow, free = asked.follow, asked.free
-    if free is None or not len(free.lower):
-        found = strands(follow, asked.space, poses, asked.seed) if free is None else _coarse(asked, poses)[0]
-        return found if _lost(found).any() else _exact(follow, poses, found, follow.steps)
-    return _of_one(asked, poses) if len(free.lower) == 1 else _of_several(asked, free, poses)
+    if free is None:
+        found = strands(follow, asked.space, poses, asked.seed)
+    elif not len(free.lower):
+        none = free.samples(1)
+        found = _closer(asked, free, poses, candidates(free, asked.space, poses, none, (ROOM, CUSHION)), none)
+    elif len(free.lower) == 1:
+        return _of_one(asked, free, poses, 0)
+    else:
+        return _of_several(asked, free, poses, tuple(range(len(free.lower))), {})
+    return found if _lost(found).any() else _exact(follow, poses, found, follow.steps)
 
 
 def _lost(found: Candidates) -> np.ndarray:
     return np.asarray(found.reason != Reason.SOLVED)
 
 
-def _of_one(asked: Asked, poses: np.ndarray) -> Way | Candidates:
-    """The way with one free value."""
-    free = asked.free
-    assert free is not None
-    coarse, count = _coarse(asked, poses)
-    if _lost(coarse).any():
-        return coarse
-    best = _twice(asked, poses, coarse, 0, float(free.spacing(count)[0]))
-    while best.breaks.any() and 2 * count <= MOST and asked.options.samples is None:  # a narrow way needs more samples
-        count *= 2
-        coarse = candidates(free, asked.space, poses, free.samples(count), (ROOM, CUSHION), 0)
+def _of_one(asked: Asked, free: Free, poses: np.ndarray, one: int) -> Way | Candidates:
+    """The way with one free value, where others are as usual."""
+    values, found = np.repeat(free.usual[None], len(poses), axis=0), list[Way]()
+    count = first = _count(asked, free, poses, values, one)
+    spacing = lambda count: float(free.spacing(count, (one,))[one])
+    while not found or (found[-1].breaks.any() and count <= MOST and asked.options.samples is None):
+        coarse = _along(asked, free, poses, values, one, count)
         if _lost(coarse).any():
             break
-        best = min(best, _twice(asked, poses, coarse, 0, float(free.spacing(count)[0])), key=lambda way: way.total)
-    return best
+        found.append(_twice(asked, poses, coarse, one, spacing(count)))
+        count *= 2  # a narrow way needs more samples
+    if not found:
+        return coarse
+    rough, wide = _rough(asked, free, poses, (one,), first)
+    if isinstance(rough, Way) and rough.total < PROMISING * min(way.total for way in found):
+        way = _about(asked, poses, rough, one, spacing(first), wide)
+        found += [] if way is None else [way]
+    return _best(asked, poses, found)
 
 
-def _of_several(asked: Asked, free: Free, poses: np.ndarray) -> Way | Candidates:
-    """The way with several free values."""
-    count = asked.options.samples or TOGETHER
-    every = max(1, len(poses) // SOME)
-    some = np.unique(np.append(np.arange(0, len(poses), every), len(poses) - 1))
-    rough = _rough(asked, free, poses[some], every, count)
-    if isinstance(rough, Candidates):
-        return _whole(asked, free, poses, rough, some)
-    found: list[Way] = []
-    still = np.concatenate([0.5 * (free.lower + free.upper)[None], free.samples(STARTS)])
-    for values in (free.between(some, rough.values, len(poses)), *np.repeat(still[:, None], len(poses), axis=1)):
-        way = _by_turns(asked, free, poses, values)
-        if isinstance(way, Candidates):
-            return way
-        found.append(way)
-        if len(found) > 1 and not all(way.breaks.any() for way in found):  # else from other values that stay
-            break
-    return min(found, key=lambda way: way.total)
+def _of_several(
+    asked: Asked, free: Free, poses: np.ndarray, ones: Ones, known: dict[Ones, Way | Candidates]
+) -> Way | Candidates:
+    """The way with some free values, and no longer than with fewer of them, which are `known` or found first: the shortest of
+    those, and of those that begin there, or where all are sampled together."""
+    if ones in known:
+        return known[ones]
+    if len(ones) == 1:
+        known[ones] = _of_one(asked, free, poses, ones[0])
+        return known[ones]
+    fewer = (_of_several(asked, free, poses, some, known) for some in free.fewer(ones))
+    found = [way for way in fewer if isinstance(way, Way)]
+    usual = np.repeat(free.usual[None], len(poses), axis=0)
+    starts, lost = [way.values for way in found] or [usual], list[Candidates]()
+    rough, _ = _rough(asked, free, poses, ones, _together(asked, free, poses, ones))
+    if isinstance(rough, Way):
+        starts.append(rough.values)
+    else:
+        lost.append(rough)
+    still = [] if lost else [free.usual, *free.samples(STARTS, ones)]
+    while starts:
+        way = _by_turns(asked, free, poses, starts.pop(0), ones)
+        if isinstance(way, Way):
+            found.append(way)
+        else:
+            lost.append(way)
+        if not starts and still and all(way.breaks.any() for way in found):  # else from other values that stay
+            starts.append(np.repeat(still.pop(0)[None], len(poses), axis=0))
+    known[ones] = _best(asked, poses, found) if found else lost[0]
+    return known[ones]
+
+
+def _best(asked: Asked, poses: np.ndarray, ways: list[Way]) -> Way:
+    """The way of the fewest breaks, and of these the shortest, once they are moved to the least joint motion."""
+    fewest = min(way.breaks.sum() for way in ways)
+    ways = [way for way in ways if way.breaks.sum() == fewest]
+    return ways[0] if len(ways) == 1 else min((_shorter(asked, poses, way) for way in ways), key=lambda way: way.total)
+
+
+def _shorter(asked: Asked, poses: np.ndarray, way: Way) -> Way:
+    """The way moved to the least joint motion."""
+    s, follow = asked.stations, asked.follow
+    runs = np.split(np.arange(len(s)), np.flatnonzero(way.breaks))
+    each = [follow.shorter(way.q[run], poses[run], s[run]) for run in runs]
+    cost = sum(float(follow.steps.costs(np.diff(q, axis=0)).sum()) for q in each)
+    return way._replace(q=np.concatenate(each), total=cost + BREAK * float(way.breaks.sum()))
 
 
 def _whole(asked: Asked, free: Free, poses: np.ndarray, found: Candidates, rows: np.ndarray) -> Candidates:
@@ -120,7 +165,7 @@ def _whole(asked: Asked, free: Free, poses: np.ndarray, found: Candidates, rows:
     reason[rows] = found.reason
     bad = rows[_lost(found)]
     near = np.unique(np.concatenate([np.arange(a, b) for a, b in zip(*_around(rows, bad, len(poses)), strict=True)]))
-    closer = candidates(free, asked.space, poses[near], free.samples(4 * TOGETHER))
+    closer = candidates(free, asked.space, poses[near], free.samples(TOGETHER))
     reason[near] = np.where(_lost(closer), closer.reason, reason[near])
     return Candidates(found.q[:0], found.values[:0], np.zeros(len(poses) + 1, int), reason)
 
@@ -132,38 +177,47 @@ def _around(rows: np.ndarray, bad: np.ndarray, count: int) -> tuple[list[int], l
     return low.tolist(), high.tolist()
 
 
-def _rough(asked: Asked, free: Free, poses: np.ndarray, every: int, count: int) -> Way | Candidates:
-    """The way through some stations, every so many, with all values sampled together."""
-    room = ROOM, CUSHION
-    found = candidates(free, asked.space, poses, free.samples(count), room)
-    if (lost := np.flatnonzero(_lost(found))).size:
-        closer = candidates(free, asked.space, poses[lost], free.samples(16 * count))
-        found = found.replaced(lost, closer)
-        if _lost(found).any():
-            return found
-    slack = _slack(asked, free, free.spacing(count))
+def _rough(asked: Asked, free: Free, poses: np.ndarray, ones: Ones, count: int) -> tuple[Way | Candidates, Steps]:
+    """The way through a few stations, straight between these, with some free values sampled together; and its steps.
+
+    A sample is kept from station to station, or left for another one far off, which is longer than what moves evenly; over
+    several stations that is told less wrongly.
+    """
+    every = max(1, min(EVERY, len(poses) // FEWEST))
+    some = np.unique(np.append(np.arange(0, len(poses), every), len(poses) - 1))
+    found = candidates(free, asked.space, poses[some], free.samples(count, ones), (ROOM, CUSHION))
+    found = _closer(asked, free, poses[some], found, free.samples(16 * count, ones))
     steps = asked.follow.steps
-    way = chosen(found.q, found.first, steps._replace(most=every * steps.most + slack))
-    return Way(found.q[way.number], way.breaks, way.total, found.values[way.number])
+    wide = steps._replace(most=every * steps.most + _slack(asked, free, free.spacing(count, ones)))
+    if _lost(found).any():
+        return _whole(asked, free, poses, found, some), wide
+    way = chosen(found.q, found.first, wide)
+    between = lambda rows, turn: straight_rows(some, rows[way.number], turn, len(poses))
+    q, values = between(found.q, np.where(steps.round, TURN, np.inf)), between(found.values, free.turn)
+    return Way(q, way.breaks, way.total, values), wide
 
 
-def _by_turns(asked: Asked, free: Free, poses: np.ndarray, values: np.ndarray) -> Way | Candidates:
+def _closer(asked: Asked, free: Free, poses: np.ndarray, found: Candidates, samples: np.ndarray) -> Candidates:
+    """The candidates, with those of other samples without any room at stations that have none."""
+    lost = np.flatnonzero(_lost(found))
+    if not lost.size:
+        return found
+    rows = samples[lost] if samples.ndim == 3 else samples
+    return found.replaced(lost, candidates(free, asked.space, poses[lost], rows))
+
+
+def _by_turns(asked: Asked, free: Free, poses: np.ndarray, values: np.ndarray, ones: Ones) -> Way | Candidates:
     """The way through all stations, from free values (M, k) that are near to it."""
     best: Way | None = None
     for _ in range(PASSES):
         before = np.inf if best is None else best.total
-        for one in range(len(free.lower)):
-            samples = np.concatenate([values[:, None], free.along(values, one, SINGLE)], axis=1)
-            order = np.argsort(samples[..., one] % 1e9, axis=1) if not free.round[one] else None
-            samples = samples if order is None else np.take_along_axis(samples, order[..., None], axis=1)
-            found = candidates(free, asked.space, poses, samples, (ROOM, CUSHION), one)
-            if (lost := np.flatnonzero(_lost(found))).size:
-                closer = candidates(free, asked.space, poses[lost], free.samples(16 * TOGETHER))
-                found = found.replaced(lost, closer)
-                if _lost(found).any():
-                    return found
-            spacing = (free.upper[one] - free.lower[one]) / SINGLE
-            way = _twice(asked, poses, found, one, float(spacing))
+        for one in ones:
+            count = _count(asked, free, poses, values, one)
+            found = _along(asked, free, poses, values, one, count)
+            found = _closer(asked, free, poses, found, free.samples(4 * TOGETHER, ones))
+            if _lost(found).any():
+                return found
+            way = _twice(asked, poses, found, one, float(free.spacing(count, (one,))[one]))
             if best is None or way.total < best.total:
                 best = way
             values = best.values
@@ -172,6 +226,31 @@ def _by_turns(asked: Asked, free: Free, poses: np.ndarray, values: np.ndarray) -
             break
     assert best is not None
     return best
+
+
+def _together(asked: Asked, free: Free, poses: np.ndarray, ones: Ones) -> int:
+    """The number of samples of several free values by which a rough way has enough candidates, on average."""
+    if asked.options.samples is not None:
+        return int(asked.options.samples)
+    some = poses[:: max(1, len(poses) // TOLD)]
+    found = candidates(free, asked.space, some, free.samples(FIRST, ones), (ROOM, CUSHION))
+    return int(np.clip(FIRST * 2 * MEAN * len(some) / max(1, len(found.q)), LEAST, TOGETHER))
+
+
+def _along(asked: Asked, free: Free, poses: np.ndarray, values: np.ndarray, one: int, count: int) -> Candidates:
+    """The candidates along one free value, through values (M, k), on a grid of so many; on a finer one where there is none."""
+    found = candidates(free, asked.space, poses, free.along(values, one, count), (ROOM, CUSHION), one)
+    return _closer(asked, free, poses, found, free.along(values, one, 4 * count))
+
+
+def _count(asked: Asked, free: Free, poses: np.ndarray, values: np.ndarray, one: int) -> int:
+    """The number of samples of one free value by which stations have enough candidates, on average."""
+    if asked.options.samples is not None:
+        return int(asked.options.samples)
+    some = slice(None, None, max(1, len(poses) // TOLD))
+    found = candidates(free, asked.space, poses[some], free.along(values[some], one, FIRST), (ROOM, CUSHION), one)
+    mean = max(1.0, len(found.q) / len(poses[some]))
+    return int(np.clip(FIRST * (MEAN if mean < MEAN else ENOUGH) / mean, LEAST, MOST // 2))
 
 
 def _slack(asked: Asked, free: Free, spacing: np.ndarray) -> np.ndarray:
@@ -188,30 +267,19 @@ def _twice(asked: Asked, poses: np.ndarray, coarse: Candidates, one: int, spacin
     apart = np.where(np.arange(len(free.lower)) == one, spacing, 0.0)
     wide = follow.steps._replace(most=follow.steps.most + _slack(asked, free, apart))
     rough = chosen(coarse.q, coarse.first, wide)
-    values = free.about(coarse.values[rough.number], one, REACH * spacing, FINE)
-    fine = candidates(free, asked.space, poses, values, (ROOM, CUSHION), one)
-    near = fine.rows((np.abs(follow.steps.between(coarse.q[rough.number][fine.station], fine.q)) <= wide.most).all(axis=1))
-    if np.any(np.diff(near.first) == 0):
-        return _exact(follow, poses, coarse, wide)
-    return _exact(follow, poses, near, follow.steps)
+    way = Way(coarse.q[rough.number], rough.breaks, rough.total, coarse.values[rough.number])
+    return _about(asked, poses, way, one, spacing, wide) or _exact(follow, poses, coarse, wide)
 
 
-def _coarse(asked: Asked, poses: np.ndarray) -> tuple[Candidates, int]:
-    """Candidates on a grid of so many samples that stations have enough of them, on average; on a finer one where some have
-    none."""
-    free, options = asked.free, asked.options
+def _about(asked: Asked, poses: np.ndarray, way: Way, one: int, spacing: float, wide: Steps) -> Way | None:
+    """The choice among candidates along one free value about a way, of which samples are so far apart, and no further from it
+    than a wide step; None where stations have none."""
+    follow, free = asked.follow, asked.free
     assert free is not None
-    one = 0 if len(free.lower) else None
-    ask = lambda count, rows, room=(ROOM, CUSHION): candidates(free, asked.space, rows, free.samples(count), room, one)
-    count = options.samples or 1
-    if options.samples is None and len(free.lower):
-        some = poses[:: max(1, len(poses) // TOLD)]
-        mean = max(1.0, len(ask(FIRST, some).q) / len(some))
-        count = int(np.clip(FIRST * (MEAN if mean < MEAN else ENOUGH) / mean, LEAST, MOST // 2))
-    found = ask(count, poses)
-    if (lost := np.flatnonzero(_lost(found))).size:
-        found = found.replaced(lost, ask(4 * count, poses[lost], (0.0, 0.0)))
-    return found, count
+    fine = candidates(free, asked.space, poses, free.about(way.values, one, REACH * spacing, FINE), (ROOM, CUSHION), one)
+    number = len(way.q) + np.arange(len(fine.q))
+    near = fine.rows(np.isfinite(step_costs(np.concatenate([way.q, fine.q]), fine.station, number, wide)))
+    return None if np.any(np.diff(near.first) == 0) else _exact(follow, poses, near, follow.steps)
 
 
 def _exact(follow: Followed, poses: np.ndarray, found: Candidates, steps: Steps) -> Way:

@@ -30,8 +30,6 @@ from jaxik.planning.tool_result import Arc, PathResult
 from jaxik.planning.tool_timing import timed_tool
 from jaxik.reasons import Reason
 
-SPACING = 0.01  # [m] of stations at most
-
 
 def nothing(robot: Robot, s: np.ndarray, reason: Reason, arcs: tuple[Arc, ...], **more: Any) -> PathResult:
     """The result of a path that is not done."""
@@ -44,7 +42,7 @@ def solve(asked: Asked, tell: Callable[[int, int], Any] = lambda done, total: No
     """The answer for a path that is checked."""
     follow, line, options = asked.follow, asked.line, asked.options
     robot, given = follow.robot, line.s[line.given]
-    stations = line.stations(SPACING)
+    stations = asked.stations
     poses = line.at(stations)
     tell(0, 4)
     picked = pick(asked, poses)

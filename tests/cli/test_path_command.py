@@ -50,3 +50,30 @@ def test_a_path_that_cannot_be_done(tmp_path, monkeypatch, capsys):
     told = capsys.readouterr()
     assert ended.value.code == 1 and not (tmp_path / "motion.csv").exists()
     assert "no motion in" in told.err + told.out and "poses" in told.err + told.out
+
+
+def test_a_task_in_words_and_the_limits_of_the_tip(tmp_path, monkeypatch, capsys):
+    file, rows = path_file(tmp_path, 0.0)
+    out, robot = tmp_path / "motion.npz", jaxik.load("panda")
+    call(monkeypatch, file, "--task", "pointing z within 5deg", "--tip-speed", 0.04, "--tip-turn", 0.5, "--out", out)
+    assert "along 0.1 m" in capsys.readouterr().out
+    motion = jaxik.planning.load_trajectory(out, robot=robot)
+    tips = np.array([pose_of(robot)(row) for row in motion.q])
+    wanted = jaxik.spatial.rotations.from_wxyz(rows[0, 3:])
+    assert np.arccos(np.clip(tips[:, :3, 2] @ wanted[:, 2], -1.0, 1.0)).max() <= np.radians(5.1)
+    assert np.linalg.norm(np.diff(tips[:, :3, 3], axis=0), axis=1).max() <= 0.04 * 0.01 * 1.001
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--task", "pose free yaw", "--free-axis", "z"), "--task says what --free-axis does; write --task 'pointing z'"),
+        (("--task", "pose", "--task", "position"), "--task: 2 times"),
+        (("--task", "pose weight 2"), "weight 2 makes it soft"),
+        (("--task", "pose at 0,0,0"), "the path is its target; leave out Task.at"),
+    ],
+)
+def test_tasks_that_are_none_of_a_path(words, told, tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit):
+        call(monkeypatch, path_file(tmp_path, 0.0)[0], *words)
+    assert told in " ".join(capsys.readouterr().err.split())

@@ -119,6 +119,26 @@ def test_a_free_axis_is_one_more_freedom():
         assert np.linalg.norm(row[:3, 2] - pose[:3, 2]) < 1e-8
 
 
+def test_several_free_values_are_no_longer_than_fewer(panda):
+    way = np.array([0.05, 0.12, -0.05])
+    wall = np.eye(4)
+    wall[:3, 3] = line(panda, way)[6, :3, 3] + [0.12, 0.0, 0.0]
+    scene = jaxik.make_scene(boxes=[(wall, [0.04, 0.04, 0.3])])
+    fewer, more = (jaxik.plan_path(panda, line(panda, way), scene=scene, task=task) for task in (jaxik.Task.pose(), FREE))
+    assert fewer and more and more.length <= fewer.length * (1.0 + 1e-6)
+
+
+def test_a_single_bound_rotation_is_kept(panda):
+    poses = line(panda, [0.0, 0.1, 0.0])
+    found = jaxik.plan_path(panda, poses, task=jaxik.Task.pose(free=("roll", "pitch")))
+    assert found
+    tips = pinocchio_poses(panda, found.trajectory.at_times(np.linspace(0.0, found.duration, 100)).q)
+    turned = poses[0, :3, :3].T @ tips[:, :3, :3]
+    assert np.abs(np.arctan2(turned[:, 1, 0] - turned[:, 0, 1], turned[:, 0, 0] + turned[:, 1, 1])).max() <= found.off[1] + 1e-9
+    assert found.off[1] <= np.radians(0.1)
+    assert np.allclose(pinocchio_poses(panda, found.q)[:, :3, 3], poses[:, :3, 3], atol=1e-8)
+
+
 def test_a_robot_without_a_closed_form_follows_postures(panda):
     poses = line(panda, [0.0, 0.1, 0.0])
     found = jaxik.plan_path(panda, poses, task=jaxik.Task.position())
