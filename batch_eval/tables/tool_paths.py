@@ -14,7 +14,7 @@ KINDS = {
 
 def tool_paths_markdown(result: dict[str, Any]) -> str:
     """A row for each of CppFlow's paths, of these and others with more freedom, and a line each on the raster and the mends."""
-    heads = "path", "free beside the arm", "poses", "solved", "free", "a call", "largest step", "length", "off, proven"
+    heads = "path", "free beside the arm", "poses", "solved", "free", "a call", "largest step", "length", "least time", "off, proven"
     lines = [f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
     for row in [*result["paths"], *result.get("freedoms", ())]:
         name = row["name"].split("__")[-1]
@@ -22,9 +22,9 @@ def tool_paths_markdown(result: dict[str, Any]) -> str:
         if row["solved"]:
             off = f"{row['proven'][0]:.3f} mm, {row['proven'][1]:.3f} deg"
             told += ["yes" if row["free"] else "NO", f"{row['seconds']:.2f} s", f"{row['step_deg']:.1f} deg"]
-            told += [f"{row['length_rad']:.2f} rad", off]
+            told += [f"{row['length_rad']:.2f} rad", f"{row['duration_s']:.2f} s" if "duration_s" in row else "-", off]
         else:
-            told += ["-", f"{row['seconds']:.2f} s", "-", "-", "-"]
+            told += ["-", f"{row['seconds']:.2f} s", "-", "-", "-", "-"]
         lines.append(f"| {' | '.join(told)} |")
     raster = result["raster"]
     text = (
