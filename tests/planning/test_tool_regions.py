@@ -142,7 +142,7 @@ def test_samples_of_what_is_free_lie_in_the_regions():
     ("task", "words"),
     [
         (jaxik.Task.pose(weight=1.0), "plan_path: weight 1 makes it soft"),
-        (jaxik.Task.pose().at(np.eye(4)), "plan_path: the path is its target; leave out Task.at"),
+        (jaxik.Task.pose().at(np.eye(4)), "here the path is its target; leave out Task.at"),
         (jaxik.Task.own(lambda tip, target: (tip - target)[:3, 3]), "cannot be proven between poses"),
     ],
 )
