@@ -14,7 +14,18 @@ KINDS = {
 
 def tool_paths_markdown(result: dict[str, Any]) -> str:
     """A row for each of CppFlow's paths, of these and others with more freedom, and a line each on the raster and the mends."""
-    heads = "path", "free beside the arm", "poses", "solved", "free", "a call", "largest step", "length", "least time", "off, proven"
+    heads = (
+        "path",
+        "free beside the arm",
+        "poses",
+        "solved",
+        "free",
+        "a call",
+        "largest step",
+        "length",
+        "least time",
+        "off, proven",
+    )
     lines = [f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
     for row in [*result["paths"], *result.get("freedoms", ())]:
         name = row["name"].split("__")[-1]
