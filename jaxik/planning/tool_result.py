@@ -64,7 +64,8 @@ class PathResult(Result):
     largest (2,): the most that a joint turns, and slides, from a pose to the next one [rad, m].
     lifts: the numbers of the poses before which it lifts off and comes back in another posture.
     feed (N,): the tip's speed as each pose is passed [m/s].
-    limited: what limits the tip at each pose (N,): "feed", "turn", "velocity of" a joint, or "acceleration" if none of these.
+    limited: what limits the tip at each pose (N,): "feed", "turn", "velocity of" a joint, "tip_speed", "tip_turn", or
+        "acceleration" if none of these.
     arcs: the parts that cannot be done, each an `Arc`.
     """
 

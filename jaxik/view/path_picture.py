@@ -19,8 +19,8 @@ OTHERS = {Reason.SINGULAR: (BAD, "a joint would have to jump"), Reason.TOO_FAST:
 
 def plot_path(robot: Robot, poses: Any, result: PathResult, path: str | Path) -> None:
     """Draws the places of poses (N, 4, 4) across the two axes along which they go furthest, each coloured by what limits the
-    tip there: the feed, its turn, the velocity of a joint, or acceleration; or by the reason why that part cannot be done; and
-    below the joints by the way along the path, if there are any. Host."""
+    tip there (`PathResult.limited`), or by the reason why that part cannot be done; and below the joints by the way along the
+    path, if there are any. Host."""
     import matplotlib.pyplot as plt
 
     places = np.asarray(poses, float)[:, :3, 3]
@@ -65,6 +65,8 @@ def _limits(robot: Robot) -> list[tuple[str, Any, str]]:
         ("feed", GOOD, "the feed"),
         ("turn", NEAR_LIMIT, "the turn of the tip"),
         *named,
+        ("tip_speed", "hotpink", "the limit of a tip's speed"),
+        ("tip_turn", "gold", "the limit of a tip's turn"),
         ("acceleration", INK, "acceleration or jerk"),
     ]
 

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 import jaxik
 from jaxik.planning.tool_free import Free
 from jaxik.reasons import Reason
+from jaxik.view.path_picture import _limits
 
 JOINTS = (  # name, parent, child, place, axis
     ("a1", "base", "l1", "0 0 0.4", "0 0 1"),
@@ -160,3 +161,7 @@ def test_what_limits_each_pose_is_named():
     joint = robot.joint_names.index(slow.limited[4].removeprefix("velocity of "))
     assert abs(slow.trajectory.at_times(slow.at[4:5]).velocity[0, joint]) == pytest.approx(0.05, rel=0.04)
     assert slow.reason == Reason.SOLVED
+    held = jaxik.plan_path(robot, line(robot), feed=0.05, tip_speed=0.02)
+    assert held.limited[4] == "tip_speed"
+    drawn = {name for name, *_ in _limits(robot)}  # each has a colour in the picture
+    assert drawn.issuperset({*found.limited, *slow.limited, *held.limited, "turn", "tip_turn"})
