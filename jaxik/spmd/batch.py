@@ -16,7 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.spmd import HostKernel, Unsupported, cache
+from jaxik.spmd import cache
+from jaxik.spmd.host import HostKernel
+from jaxik.spmd.program import Unsupported
 
 Cached = TypeVar("Cached", bound=Any)
 GATHERED = 16384  # rows at a time that are made for a kernel: few calls, and they stay in the caches
@@ -57,7 +59,7 @@ def in_blocks(
     rows: Callable[..., tuple[np.ndarray, ...]] | None = None,
 ) -> list[np.ndarray]:
     """`function(*rows, *fixed)` over the rows of `columns`, which may be none; its leaves as NumPy arrays. `columns` are
-    arrays, at least the first one, or pytrees of them. `size` rows are a block where XLA has to do it. `rows`, of some rows of
+    arrays, or pytrees of them. `size` rows are a block where XLA has to do it. `rows`, of some rows of
     `columns`, are those that the function takes: made block by block, in the block's own thread.
 
     `double` says whether it runs in float64 or float32 whatever JAX is set to; None is as it is set here, which other threads
@@ -75,7 +77,7 @@ def in_blocks(
             pass
 
     def block(*part: Any) -> list[np.ndarray]:
-        here = len(part[0])
+        here = _count(part)
         filled = lambda x: np.resize(x, (size, *x.shape[1:])) if here < size else x  # of no rows it makes zeros
         padded = jax.tree_util.tree_map(filled, part)
         with jax.enable_x64(wide):
@@ -87,9 +89,13 @@ def in_blocks(
 def _by_blocks(function: Callable[..., list[np.ndarray]], columns: tuple[Any, ...], size: int) -> list[np.ndarray]:
     """`function` over so many rows at a time, in several threads."""
     block = lambda start: function(*jax.tree_util.tree_map(lambda x: x[start : start + size], columns))
-    starts = range(0, max(len(columns[0]), 1), size)
+    starts = range(0, max(_count(columns), 1), size)
     parts = [block(s) for s in starts] if len(starts) == 1 else list(threads().map(block, starts))
     return [np.concatenate(each) for each in zip(*parts, strict=True)]
+
+
+def _count(columns: Any) -> int:
+    return len(jax.tree_util.tree_leaves(columns)[0])
 
 
 def compilation_cache() -> None:

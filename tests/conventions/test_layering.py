@@ -32,6 +32,7 @@ FLOORS = [  # what the house is made of, from the ground up
     "analytic",
     "costs",
     "collision",
+    "prepared",
     "fitting",
     "files",
     "ik",
