@@ -1,5 +1,6 @@
 """Functions ready for a loop: as Pinocchio has it, or, bit for bit, as the function itself; and whatever else one may give."""
 
+import gc
 import pickle
 import sys
 import threading
@@ -94,6 +95,20 @@ def test_a_call_in_progress_ends_in_the_scene_that_it_began_in():
     finally:
         stop.set()
         sys.setswitchinterval(before)
+
+
+def test_scenes_that_are_gone_leave_no_garbage():
+    """A loop that has turned off the search for it does not grow."""
+    near, scenes = jaxik.prepare(jaxik.clearance, ARM, spheres(20, 7), example=(Q[0],)), (spheres(20, 8), spheres(20, 9))
+    gc.collect()
+    gc.disable()
+    try:
+        for turn in range(100):
+            near.update(scenes[turn % 2])
+            near(Q[0])
+        assert gc.collect() < 10
+    finally:
+        gc.enable()
 
 
 class Wheel(NamedTuple):

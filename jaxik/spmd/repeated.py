@@ -24,6 +24,7 @@ ALIGNED = 64  # bytes, a line of the cache
 ROUND = -(2**63)
 # [s] below which a kernel keeps the interpreter's lock: who lets go of it waits for a thread that computes, up to 5 ms
 SHORT = 20e-6
+HOLDING = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)  # once: `ctypes` makes another type, which is garbage later, at each turn
 
 
 class Row(NamedTuple):
@@ -86,7 +87,7 @@ def repeated(
     known |= {f"shape{k}": row.shape for k, row in enumerate(rows)} | {f"dtype{k}": row.dtype for k, row in enumerate(rows)}
     brackets = {None: ("", ""), list: ("[", "]"), tuple: ("(", ")")}.get(form, ("form(", ")"))
     exec(_code(tuple(row.numbers for row in rows), checked, len(results), *brackets), known)
-    return known["again"]
+    return known.pop("again")  # which would hold itself by its names
 
 
 def _held(work: Any, asked: int) -> Any:
@@ -98,7 +99,7 @@ def _held(work: Any, asked: int) -> Any:
         times.append(time.perf_counter() - begin)
     long = min(times) > SHORT
     place: Any = ctypes.cast(work, ctypes.c_void_p).value
-    return work if long else ctypes.PYFUNCTYPE(None, ctypes.c_void_p)(place)
+    return work if long else HOLDING(place)
 
 
 def _laid_out(rows: Sequence[Row]) -> list[np.ndarray]:
