@@ -7,7 +7,6 @@ copies of its own rows: nothing compiles again for another number, and a row's r
 from __future__ import annotations
 
 import functools
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
@@ -16,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.spmd import cache
+from jaxik.platforms import after_fork, cache_home, cores
 from jaxik.spmd.host import HostKernel
 from jaxik.spmd.program import Unsupported
 
@@ -24,15 +23,9 @@ Cached = TypeVar("Cached", bound=Any)
 GATHERED = 16384  # rows at a time that are made for a kernel: few calls, and they stay in the caches
 
 
-def cores() -> int:
-    """The cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def anew_in_forks(cached: Cached) -> Cached:
     """A cached function that forgets what it knows in a process forked from this one, where no thread but one goes on."""
-    if hasattr(os, "register_at_fork"):
-        os.register_at_fork(after_in_child=cached.cache_clear)
+    after_fork(cached.cache_clear)
     return cached
 
 
@@ -100,7 +93,7 @@ def _count(columns: Any) -> int:
 
 def compilation_cache() -> None:
     """JAX's persistent cache, so that the second run compiles nothing. Only the commands, and workers, call this."""
-    own = cache.user_folder()
+    own = cache_home()
     if own is None:
         return
     folder = own / "jaxik"

@@ -6,7 +6,6 @@ A call costs a few microseconds, and a batch of another size compiles nothing.
 from __future__ import annotations
 
 import functools
-import os
 import threading
 import weakref
 from collections.abc import Callable
@@ -17,6 +16,7 @@ import jax
 import numpy as np
 
 from jaxik.garbage import uncollected
+from jaxik.platforms import after_fork
 from jaxik.spmd import call
 from jaxik.spmd.program import Unsupported
 from jaxik.spmd.repeated import Row, repeated, words
@@ -28,8 +28,7 @@ _NARROW = {np.dtype(np.int64): np.dtype(np.int32), np.dtype(np.uint64): np.dtype
 
 
 _making: weakref.WeakKeyDictionary[HostKernel, threading.RLock] = weakref.WeakKeyDictionary()
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_making.clear)  # nobody goes on with what another thread was making
+after_fork(_making.clear)  # nobody goes on with what another thread was making
 
 
 class HostKernel:
