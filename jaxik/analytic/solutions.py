@@ -155,7 +155,3 @@ def first_branch(robot: Robot, pose: Any, given: Any) -> tuple[Any, Any]:
     for k in reversed(range(BRANCHES)):
         joints, number = jnp.where(inside[k], q[k], joints), jnp.where(inside[k], jnp.int32(k), number)
     return joints, number
-
-
-# a batch of `first_branch`: (poses, what is given), by rows
-first_branches = host_kernels(2, known=16)(first_branch)

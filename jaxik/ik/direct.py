@@ -1,0 +1,153 @@
+"""One target at a time, as fast as Python calls: programs that are prepared once, and nothing else between them.
+
+Most targets are answered here, by one program: by the closed form (`branch_search`), or from the first seeds (`seed_search`).
+A target that is left, or whose answer collides, is left to the whole driver, `multistart`, which begins anew and says why there
+is none. What is answered here has the same bits as there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from jaxik.collision.bvh import decided_within, own_in
+from jaxik.collision.own_shape import told_below
+from jaxik.ik import seeds
+from jaxik.ik.branch_search import NOBODY, first_answers
+from jaxik.ik.enumeration import enumerable, points
+from jaxik.ik.problem import RIGID_POSE, Problem
+from jaxik.ik.result import IKResult
+from jaxik.ik.seed_search import Setup, Shared, Target, first_from_seeds
+from jaxik.ik.sqp_programs import batch, clearance_around
+from jaxik.kinematics.joint_turns import endless
+from jaxik.reasons import Reason
+from jaxik.spmd.trace import TEAM_SIZE
+
+SEEDS, CLEAR_SEEDS = 16, 64  # seeds that are tried here: without and with obstacles, before anything else is
+LEAST = 128  # seeds that a user may ask for at least: of fewer the driver makes other steps
+
+Searched = Callable[[np.ndarray, np.ndarray | None], tuple[np.ndarray, ...]]
+
+
+def is_direct(problem: Problem) -> bool:
+    """Whether targets of such a problem, which has one, may be answered directly."""
+    options, free = problem.options, problem.scene is None or problem.alone
+    if not problem.first_will_do or options.nearest or options.max_seeds < LEAST or options.max_seeds % TEAM_SIZE:
+        return False
+    if any(task.within for task in problem.tasks.each) or len(seeds.sliding_base(problem.robot)[0]):
+        return False
+    if problem.strategy == "near":
+        return not endless(problem.robot).any()
+    return problem.reference is None and (problem.strategy != "closed_form" or (free and enumerable(_blind(problem))))
+
+
+def by_branches(problem: Problem) -> bool:
+    """Whether a direct problem is answered by its closed form, whose program the driver has as well."""
+    return (problem.scene is None or problem.alone) and enumerable(_blind(problem))
+
+
+class Direct:
+    """A robot, its surroundings and the options, ready for one target after another. Making one compiles."""
+
+    def __init__(self, problem: Problem):
+        self.problem = problem
+        alone = problem.scene is None or problem.alone
+        searched = _blind(problem) if alone else problem
+        self._rigid = RIGID_POSE.repeated(np.eye(4)[None] if not problem.tasks.stacked else problem.poses[0], double=True)
+        self._search = _branches(searched) if by_branches(problem) else _seeds(searched)
+        self._cleared = _clearances(problem, problem.scene) if problem.scene is not None and alone else None
+        self._told = None
+        if problem.scene is not None and own_in(problem.scene):
+            around = decided_within(problem.scene, lambda usual: told_below(usual, problem.options.margin))
+            self._told = _clearances(problem, around)
+        self._usual = _usual(problem)
+
+    def __call__(self, pose: np.ndarray, home: np.ndarray | None = None) -> IKResult | None:
+        """The answer for a pose (4, 4), or poses (k, 4, 4), in float64, from seeds near the posture `home` (n,) where these are
+        asked for; None where there is none here."""
+        poses, valid = self._rigid(pose.reshape(-1, 4, 4))
+        if not valid.all():
+            return None
+        q, away, turned, clearance, number, count = self._search(poses if pose.ndim == 2 else poses[None], home)
+        if number[0] >= NOBODY:
+            return None
+        if self._cleared is not None:
+            (clearance,) = self._cleared(q)
+            if not clearance[0] >= self.problem.options.margin:
+                return None
+        if self._told is not None:
+            (clearance,) = self._told(q)
+        result: IKResult = object.__new__(IKResult)
+        found = {"q": q[0], "position_error": away[0], "rotation_error": turned[0], "clearance": clearance[0]}
+        vars(result).update(self._usual, **found, seed=number[0], iterations=count[0], solutions=q)
+        return result
+
+
+def _blind(problem: Problem) -> Problem:
+    return problem if problem.scene is None else dataclasses.replace(problem, scene=None)
+
+
+def _usual(problem: Problem) -> dict[str, Any]:
+    """The fields that all answers have in common."""
+    tasks = problem.tasks
+    none = {"task": np.int64(-1), "beyond": np.float64(0.0), "other": np.int64(-1), "apart": np.zeros(2)}
+    nearest = {"distance": np.float64(np.nan), "proven": np.bool_(False), "least_distance": np.float64(np.nan), "joints": None}
+    around = None if problem.scene is None else (problem.robot, problem.scene, problem.options.margin)
+    own = {"num_solutions": np.int64(1), "fault": np.int8(0), "tasks": tasks.names if tasks.listed else (), "solved_in": around}
+    return {"reason": Reason.SOLVED, **own, **none, **nearest}
+
+
+def _clearances(problem: Problem, around: Any) -> Callable[[np.ndarray], list[np.ndarray]]:
+    kernel = batch(1, clearance_around, problem.robot)
+    return kernel.repeated(np.zeros((1, problem.robot.num_joints)), around, double=True)
+
+
+def _branches(problem: Problem) -> Searched:
+    """The search by the closed form."""
+    values = points(problem)
+    rows, fixed = (problem.poses[:1], problem.tolerance[:1]), (np.int32(0), np.int32(len(values)), values)
+    run = first_answers(problem.robot).repeated(*rows, *fixed, double=True)
+    unknown, none = np.full(1, np.nan), np.zeros(1, int)
+
+    def search(pose: np.ndarray, home: np.ndarray | None) -> tuple[np.ndarray, ...]:
+        q, away, turned, number = run(pose)
+        return q, away, turned, unknown, number, none
+
+    return search
+
+
+def _seeds(problem: Problem) -> Searched:
+    """The search from the first seeds."""
+    rows, setup = seed_rows(problem, CLEAR_SEEDS if problem.scene is not None else SEEDS, rescues=False)
+    target, shared = rows
+    run = first_from_seeds(setup).repeated(target, shared, double=True)
+    fixed = target.tolerance, target.aim
+
+    def search(pose: np.ndarray, home: np.ndarray | None) -> tuple[np.ndarray, ...]:
+        return run(pose) if home is None else run(pose, *fixed, home[None])  # type: ignore[return-value]
+
+    return search
+
+
+def seed_rows(problem: Problem, most: int, rescues: bool) -> tuple[tuple[Target, Shared], Setup]:
+    """The rows of the targets, what they share, and the facts of a search from `most` seeds."""
+    robot, near = problem.robot, problem.strategy == "near"
+    library = seeds.SETS if problem.strategy == "library" else 0
+    inside = problem.whole if near else problem.inside
+    table = np.zeros((most, robot.num_joints))
+    if near:
+        table[:] = seeds.around(inside, problem.seed, 0, most)
+    elif problem.strategy == "low_discrepancy":
+        table[:] = seeds.low_discrepancy(inside, problem.seed, 0, most)
+    else:
+        table[library:] = seeds.uniforms(inside, problem.seed, library, most)
+    clear = problem.scene is not None
+    around = (problem.scene, np.float64(problem.options.margin)) if clear else ()
+    shared = Shared(problem.low, problem.high, problem.weights, *problem.round_limits[:2], table, around)
+    target = Target(problem.poses, problem.tolerance, problem.aim, np.array(problem.home(np.arange(len(problem.aim)))))
+    circles = tuple(problem.circles.tolist())
+    setup = Setup(robot, problem.tasks, problem.unit, circles, most, library, inside, near, clear, rescues)
+    return (target, shared), setup
