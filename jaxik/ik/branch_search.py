@@ -1,7 +1,8 @@
 """The first answer among the branches of a closed form, as one program: for one target as for many.
 
 A robot of more than six joints is given values, point after point of a sequence, until a branch is inside the limits and has
-the pose. In a batch a vector of targets goes on until all of them are done, so that many targets take a few points at a time.
+the pose; or until one does, and is clear of obstacles. In a batch a vector of targets goes on until all of them are done, so
+that many targets take a few points at a time.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from typing import Any
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.analytic.solutions import BRANCHES, first_branch
-from jaxik.ik.sqp_programs import errors
+from jaxik.analytic.solutions import BRANCHES, closed_form, first_branch
+from jaxik.ik.sqp_programs import clearance_around, errors
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE
 from jaxik.kinematics.tasks import Tasks
@@ -29,14 +30,45 @@ def first_answer(robot: Robot, pose: Any, tolerance: Any, first: Any, last: Any,
     def point(state: Any) -> Any:
         number = state[0]
         q, branch = first_branch(robot, pose, values[number])
-        away, turned = errors(robot, Tasks.alone(POSE), q, pose)
-        found = (branch < BRANCHES) & (away <= tolerance[0]) & (turned <= tolerance[1])
-        return number + 1, q, away, turned, jnp.where(found, BRANCHES * number + branch, NOBODY)
+        away, turned, exact = _judged(robot, q, pose, tolerance)
+        return number + 1, q, away, turned, jnp.where((branch < BRANCHES) & exact, BRANCHES * number + branch, NOBODY)
 
     nothing = jnp.zeros((), pose.dtype)
     begin = first, jnp.zeros(robot.num_joints, pose.dtype), nothing, nothing, jnp.int32(NOBODY)
     return lax.while_loop(lambda state: (state[-1] == NOBODY) & (state[0] < last), point, begin)[1:]
 
 
+def first_clear_answer(
+    robot: Robot, pose: Any, tolerance: Any, first: Any, last: Any, values: Any, around: Any, margin: Any
+) -> tuple[Any, Any, Any, Any, Any]:
+    """Returns the same of all branches at each point, the first that keeps `margin` [m] to what is `around`, and its clearance
+    [m] before the number. Traced."""
+
+    def point(state: Any) -> Any:
+        number, *nothing = state
+        q, _, inside = closed_form(robot, pose, values[number])
+
+        def branch(state: Any) -> Any:
+            k, *_ = state
+            away, turned, exact = _judged(robot, q[k], pose, tolerance)
+            fits = inside[k] & exact
+            apart = lax.cond(fits, lambda: clearance_around(robot, q[k], around), lambda: -jnp.inf * jnp.ones_like(away))
+            return k + 1, q[k], away, turned, apart, jnp.where(apart >= margin, BRANCHES * number + k, NOBODY)
+
+        found = lax.while_loop(lambda state: (state[-1] == NOBODY) & (state[0] < BRANCHES), branch, (jnp.int32(0), *nothing))
+        return number + 1, *found[1:]
+
+    nothing = jnp.zeros((), pose.dtype)
+    begin = first, jnp.zeros(robot.num_joints, pose.dtype), nothing, nothing, nothing, jnp.int32(NOBODY)
+    return lax.while_loop(lambda state: (state[-1] == NOBODY) & (state[0] < last), point, begin)[1:]
+
+
+def _judged(robot: Robot, q: Any, pose: Any, tolerance: Any) -> tuple[Any, Any, Any]:
+    """The errors [m], [rad] of a posture, and whether it has the pose."""
+    away, turned = errors(robot, Tasks.alone(POSE), q, pose)
+    return away, turned, (away <= tolerance[0]) & (turned <= tolerance[1])
+
+
 # by rows of poses and tolerances; the points are those of all rows
 first_answers = host_kernels(2, known=16)(first_answer)
+first_clear_answers = host_kernels(2, known=16)(first_clear_answer)

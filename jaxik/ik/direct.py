@@ -8,7 +8,7 @@ is none. What is answered here has the same bits as there.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from jaxik.collision.bvh import decided_within, own_in
 from jaxik.collision.own_shape import told_below
 from jaxik.ik import seeds
-from jaxik.ik.branch_search import NOBODY, first_answers
+from jaxik.ik.branch_search import NOBODY, first_answers, first_clear_answers
 from jaxik.ik.enumeration import enumerable, points
 from jaxik.ik.problem import RIGID_POSE, Problem
 from jaxik.ik.result import IKResult
@@ -24,12 +24,13 @@ from jaxik.ik.seed_search import Setup, Shared, Target, first_from_seeds
 from jaxik.ik.sqp_programs import batch, clearance_around
 from jaxik.kinematics.joint_turns import endless
 from jaxik.reasons import Reason
+from jaxik.spmd import HostKernel
 from jaxik.spmd.trace import TEAM_SIZE
 
 SEEDS, CLEAR_SEEDS = 16, 64  # seeds that are tried here: without and with obstacles, before anything else is
 LEAST = 128  # seeds that a user may ask for at least: of fewer the driver makes other steps
 
-Searched = Callable[[np.ndarray, np.ndarray | None], tuple[np.ndarray, ...]]
+Searched = Callable[[np.ndarray, np.ndarray | None], Sequence[np.ndarray]]
 
 
 def is_direct(problem: Problem) -> bool:
@@ -44,21 +45,15 @@ def is_direct(problem: Problem) -> bool:
     return problem.reference is None and (problem.strategy != "closed_form" or (free and enumerable(_blind(problem))))
 
 
-def by_branches(problem: Problem) -> bool:
-    """Whether a direct problem is answered by its closed form, whose program the driver has as well."""
-    return (problem.scene is None or problem.alone) and enumerable(_blind(problem))
-
-
 class Direct:
     """A robot, its surroundings and the options, ready for one target after another. Making one compiles."""
 
     def __init__(self, problem: Problem):
         self.problem = problem
-        alone = problem.scene is None or problem.alone
-        searched = _blind(problem) if alone else problem
-        self._rigid = RIGID_POSE.repeated(np.eye(4)[None] if not problem.tasks.stacked else problem.poses[0], double=True)
-        self._search = _branches(searched) if by_branches(problem) else _seeds(searched)
-        self._cleared = _clearances(problem, problem.scene) if problem.scene is not None and alone else None
+        self._rigid = RIGID_POSE.repeated(np.eye(4)[None], double=True)
+        self._search, self._cleared = _search(problem), None
+        if problem.alone and not enumerable(_blind(problem)):  # the first answer mostly hits nothing
+            self._cleared = _clearances(problem, problem.scene)
         self._told = None
         if problem.scene is not None and own_in(problem.scene):
             around = decided_within(problem.scene, lambda usual: told_below(usual, problem.options.margin))
@@ -66,12 +61,12 @@ class Direct:
         self._usual = _usual(problem)
 
     def __call__(self, pose: np.ndarray, home: np.ndarray | None = None) -> IKResult | None:
-        """The answer for a pose (4, 4), or poses (k, 4, 4), in float64, from seeds near the posture `home` (n,) where these are
-        asked for; None where there is none here."""
-        poses, valid = self._rigid(pose.reshape(-1, 4, 4))
-        if not valid.all():
+        """The answer for a pose (4, 4) in float64, from seeds near the posture `home` (n,) where these are asked for; None
+        where there is none here."""
+        poses, valid = self._rigid(pose[None])
+        if not valid[0]:
             return None
-        q, away, turned, clearance, number, count = self._search(poses if pose.ndim == 2 else poses[None], home)
+        q, away, turned, clearance, number, count = self._search(poses, home)
         if number[0] >= NOBODY:
             return None
         if self._cleared is not None:
@@ -105,29 +100,39 @@ def _clearances(problem: Problem, around: Any) -> Callable[[np.ndarray], list[np
     return kernel.repeated(np.zeros((1, problem.robot.num_joints)), around, double=True)
 
 
-def _branches(problem: Problem) -> Searched:
-    """The search by the closed form."""
-    values = points(problem)
-    rows, fixed = (problem.poses[:1], problem.tolerance[:1]), (np.int32(0), np.int32(len(values)), values)
-    run = first_answers(problem.robot).repeated(*rows, *fixed, double=True)
+def is_compiled(problem: Problem) -> bool:
+    """Whether the program that answers a direct problem is there already."""
+    kernel, given, _ = _program(problem)
+    return kernel.knows(*given, double=True)
+
+
+def _program(problem: Problem) -> tuple[HostKernel, tuple[Any, ...], bool]:
+    """The program that answers targets, an example of what it is given, and whether it goes through branches."""
+    blind = _blind(problem)
+    if (problem.scene is None or problem.alone) and enumerable(blind):
+        values = points(blind)
+        given: tuple[Any, ...] = problem.poses[:1], problem.tolerance[:1], np.int32(0), np.int32(len(values)), values
+        if problem.scene is None:
+            return first_answers(problem.robot), given, True
+        return first_clear_answers(problem.robot), (*given, problem.scene, np.float64(problem.options.margin)), True
+    searched = blind if problem.alone else problem
+    given, setup = seed_rows(searched, SEEDS if searched.scene is None else CLEAR_SEEDS, rescues=False)
+    return first_from_seeds(setup), given, False
+
+
+def _search(problem: Problem) -> Searched:
+    """The program as a function of a pose (1, 4, 4) and a posture: a posture, its errors, its clearance, the number of its seed
+    and how many steps led there, each (1, ...)."""
+    kernel, given, branches = _program(problem)
+    run = kernel.repeated(*given, double=True)
+    if not branches:
+        target = given[0]
+        return lambda pose, home: run(pose) if home is None else run(pose, target.tolerance, target.aim, home[None])
     unknown, none = np.full(1, np.nan), np.zeros(1, int)
 
-    def search(pose: np.ndarray, home: np.ndarray | None) -> tuple[np.ndarray, ...]:
-        q, away, turned, number = run(pose)
-        return q, away, turned, unknown, number, none
-
-    return search
-
-
-def _seeds(problem: Problem) -> Searched:
-    """The search from the first seeds."""
-    rows, setup = seed_rows(problem, CLEAR_SEEDS if problem.scene is not None else SEEDS, rescues=False)
-    target, shared = rows
-    run = first_from_seeds(setup).repeated(target, shared, double=True)
-    fixed = target.tolerance, target.aim
-
-    def search(pose: np.ndarray, home: np.ndarray | None) -> tuple[np.ndarray, ...]:
-        return run(pose) if home is None else run(pose, *fixed, home[None])  # type: ignore[return-value]
+    def search(pose: np.ndarray, home: np.ndarray | None) -> Sequence[np.ndarray]:
+        q, away, turned, *clearance, number = run(pose)
+        return q, away, turned, clearance[0] if clearance else unknown, number, none
 
     return search
 
@@ -146,7 +151,8 @@ def seed_rows(problem: Problem, most: int, rescues: bool) -> tuple[tuple[Target,
         table[library:] = seeds.uniforms(inside, problem.seed, library, most)
     clear = problem.scene is not None
     around = (problem.scene, np.float64(problem.options.margin)) if clear else ()
-    shared = Shared(problem.low, problem.high, problem.weights, *problem.round_limits[:2], table, around)
+    low, high, _ = problem.round_limits
+    shared = Shared(problem.low, problem.high, problem.weights, low, high, table, around)
     target = Target(problem.poses, problem.tolerance, problem.aim, np.array(problem.home(np.arange(len(problem.aim)))))
     circles = tuple(problem.circles.tolist())
     setup = Setup(robot, problem.tasks, problem.unit, circles, most, library, inside, near, clear, rescues)

@@ -14,9 +14,9 @@ import numpy as np
 
 from jaxik.collision.clearances import check_geometry, has_geometry
 from jaxik.collision.contact_report import standing_words
-from jaxik.collision.scene import Scene
+from jaxik.collision.scene import Scene, remembered
 from jaxik.collision.scene_builder import make_scene
-from jaxik.ik.direct import Direct, by_branches, is_direct
+from jaxik.ik.direct import Direct, is_compiled, is_direct
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import Poses, Problem, is_looked_at
 from jaxik.ik.result import IKResult
@@ -59,27 +59,36 @@ def direct_problem(robot: Robot, scene: Scene | None, seed: int, options: IKOpti
 
 
 class _Kind:
-    """Calls of one kind: their robot and scene, which are held so that no others are taken for them, how many came so far, and
-    the programs, once they are there."""
+    """Calls of one kind, for the same robot, which is held so that no other is taken for it, and options: how many came so far,
+    and the programs for each scene, which keeps them."""
 
-    def __init__(self, robot: Robot, scene: Scene | None):
-        self.held, self.calls = (robot, scene), 0
-        self.problem: Problem | None = None
-        self.direct: Direct | None = None
-        self.coming: Future[Direct] | None = None
+    def __init__(self, robot: Robot):
+        self.robot, self.calls, self._alone = robot, 0, _Place()
 
-    def ready(self, robot: Robot, scene: Scene | None, seed: int, options: IKOptions) -> Direct | None:
-        """The programs, for one more call."""
+    def place(self, scene: Scene | None) -> _Place:
+        place: _Place = self._alone if scene is None else remembered(scene, self, _Place)
+        return place
+
+    def look(self, place: _Place, scene: Scene | None, seed: int, options: IKOptions) -> None:
+        """Finds the programs of a place, where they are there, or has them made."""
         self.calls += 1
-        if self.calls == 2:  # the first may have been the only one
-            self.problem = direct_problem(robot, scene, seed, options)
-            if self.problem is not None and by_branches(self.problem):
-                self.direct = Direct(self.problem)
-        if self.calls == OFTEN and self.problem is not None and self.direct is None:
-            self.coming = threads().submit(Direct, self.problem)
-        if self.coming is not None and self.coming.done():
-            self.direct, self.coming = None if self.coming.exception() else self.coming.result(), None
-        return self.direct
+        if self.calls == 1:  # it may be the only one
+            return
+        problem = direct_problem(self.robot, scene, seed, options)
+        if problem is None:
+            place.settled = True
+        elif is_compiled(problem):
+            place.direct, place.settled = Direct(problem), True
+        elif place.coming is None and self.calls >= OFTEN:
+            place.coming = threads().submit(Direct, problem)
+
+
+class _Place:
+    """The programs for one scene, once they are there, or `settled` without any."""
+
+    direct: Direct | None = None
+    settled = False
+    coming: Future[Direct] | None = None
 
 
 @anew_in_forks
@@ -94,23 +103,24 @@ def answered_directly(
     """The answer for one pose (4, 4), an array, where the direct way finds it; else None."""
     if type(target) is not np.ndarray or target.shape != (4, 4) or target.dtype.kind not in "iuf":
         return None
+    if not (isinstance(robot, Robot) and (scene is None or (isinstance(scene, Scene) and scene.concrete))):
+        return None
+    given = tuple([(name, type(value), value) for name, value in changes.items()])
     try:
-        given = tuple([(name, type(value), value) for name, value in changes.items()])
-        key = id(robot), id(scene), type(seed), seed, options, given
-        kind = _kinds().get(key)
+        kind = _kind(robot, (id(robot), type(seed), seed, options, given))
     except TypeError:  # of what has no hash
         return None
-    if kind is None:
-        if isinstance(robot, Robot) and isinstance(scene, Scene | None):
-            _keep(key, _Kind(robot, scene))
-        return None
-    direct = kind.direct or kind.ready(robot, scene, seed, IKOptions.chosen(options, changes))
-    return None if direct is None else direct(np.asarray(target, np.float64))
+    place = kind.place(scene)
+    if not place.settled:
+        kind.look(place, scene, seed, IKOptions.chosen(options, changes))
+    return None if place.direct is None else place.direct(np.asarray(target, np.float64))
 
 
-def _keep(key: Any, kind: _Kind) -> None:
+def _kind(robot: Robot, key: Any) -> _Kind:
     kinds = _kinds()
-    while len(kinds) >= KEPT:
-        kinds.pop(next(iter(kinds)), None)
-    kind.calls = 1
-    kinds[key] = kind
+    found = kinds.get(key)
+    if found is None:
+        while len(kinds) >= KEPT:
+            kinds.pop(next(iter(kinds)), None)
+        found = kinds[key] = _Kind(robot)
+    return found

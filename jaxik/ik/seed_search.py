@@ -123,7 +123,9 @@ class _Search:
 
     def run(self) -> Answer:
         """All turns until there is an answer."""
-        answer, miss = self._nothing(), Lane(*(x.astype(jnp.float32) for x in self._nothing()[:3]), jnp.int32(0))
+        answer = self._nothing()
+        q, away, turned = (x.astype(jnp.float32) for x in answer[:3])
+        miss = Lane(q, away, turned, jnp.int32(0))
         begin = _Turn(jnp.int32(0), jnp.bool_(not self.setup.clear), miss, jnp.int32(NOBODY), jnp.float64(jnp.inf), answer)
         going = lambda turn: (turn.answer.number == NOBODY) & (turn.number < self.turns)
         end = lax.while_loop(going, self._turn, begin)
@@ -147,8 +149,8 @@ class _Search:
         again = turn.eager & ~rescue & _any(landed)  # a lane that landed in vain stopped others
         nearer = ~rescue & ~again & (away < turn.away)
         pick = lambda new, old: jnp.where(nearer, new, old)
-        kept = jax.tree_util.tree_map(pick, (ended, seed, away), (turn.miss, turn.seed, turn.away))
-        return _Turn(jnp.where(again, turn.number, turn.number + 1), ~again & (not clear), *kept, answer)
+        miss, seed, away = jax.tree_util.tree_map(pick, (ended, seed, away), (turn.miss, turn.seed, turn.away))
+        return _Turn(jnp.where(again, turn.number, turn.number + 1), ~again & (not clear), miss, seed, away, answer)
 
     # ----------------------------------------------------------------------------------------------------------------
     # Where lanes start
