@@ -30,6 +30,7 @@ from jaxik.spmd.batch import in_blocks
 
 TRIED = 2  # points of the first wave; each further wave has as many as all before it
 TOGETHER = 32  # rows of a kernel's call that take no longer than one: the first wave of few targets fills them
+WAVES, FEW = (2, 6, 16, 48), 16  # points at which waves end, of more than so few targets: each is done with when it has one
 ZOOMS, ZOOMED, NARROWER = 3, 8, 0.3  # rounds of points near an answer's own, points of each, and how much nearer each is
 
 
@@ -82,7 +83,9 @@ def enumerated(problem: Problem, left: np.ndarray) -> Found:
 def _first(problem: Problem, left: np.ndarray) -> Found:
     """Returns, for each target, the first branch inside the limits at the first point at which one has the pose."""
     found, values = [nothing(problem)], points(problem)
-    for first, last in itertools.pairwise(_tries(problem, len(left))):
+    most = len(values)
+    waves = [0, most] if len(left) <= FEW else [0, *itertools.takewhile(lambda end: end < most, WAVES), most]
+    for first, last in itertools.pairwise(waves):
         rows, tried = (problem.poses[left], problem.tolerance[left]), (np.int32(first), np.int32(last), values)
         q, away, turned, number = in_blocks(first_answers(problem.robot), *rows, fixed=tried, double=True)
         has = number < NOBODY
