@@ -51,10 +51,7 @@ class Direct:
     def __init__(self, problem: Problem):
         self.problem = problem
         self._rigid = RIGID_POSE.repeated(np.eye(4)[None], double=True)
-        self._search, self._cleared = _search(problem), None
-        if problem.alone and not enumerable(_blind(problem)):  # the first answer mostly hits nothing
-            self._cleared = _clearances(problem, problem.scene)
-        self._told = None
+        self._search, self._told = _search(problem), None
         if problem.scene is not None and own_in(problem.scene):
             around = decided_within(problem.scene, lambda usual: told_below(usual, problem.options.margin))
             self._told = _clearances(problem, around)
@@ -69,10 +66,6 @@ class Direct:
         q, away, turned, clearance, number, count = self._search(poses, home)
         if number[0] >= NOBODY:
             return None
-        if self._cleared is not None:
-            (clearance,) = self._cleared(q)
-            if not clearance[0] >= self.problem.options.margin:
-                return None
         if self._told is not None:
             (clearance,) = self._told(q)
         result: IKResult = object.__new__(IKResult)
@@ -115,8 +108,7 @@ def _program(problem: Problem) -> tuple[HostKernel, tuple[Any, ...], bool]:
         if problem.scene is None:
             return first_answers(problem.robot), given, True
         return first_clear_answers(problem.robot), (*given, problem.scene, np.float64(problem.options.margin)), True
-    searched = blind if problem.alone else problem
-    given, setup = seed_rows(searched, SEEDS if searched.scene is None else CLEAR_SEEDS, rescues=False)
+    given, setup = seed_rows(problem, SEEDS if problem.scene is None else CLEAR_SEEDS, rescues=False)
     return first_from_seeds(setup), given, False
 
 
@@ -155,5 +147,5 @@ def seed_rows(problem: Problem, most: int, rescues: bool) -> tuple[tuple[Target,
     shared = Shared(problem.low, problem.high, problem.weights, low, high, table, around)
     target = Target(problem.poses, problem.tolerance, problem.aim, np.array(problem.home(np.arange(len(problem.aim)))))
     circles = tuple(problem.circles.tolist())
-    setup = Setup(robot, problem.tasks, problem.unit, circles, most, library, inside, near, clear, rescues)
+    setup = Setup(robot, problem.tasks, problem.unit, circles, most, library, inside, near, clear, problem.alone, rescues)
     return (target, shared), setup

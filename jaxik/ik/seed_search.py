@@ -34,8 +34,8 @@ RESCUED = 4  # near misses, of those that the lanes keep, that get more steps
 class Setup(NamedTuple):
     """The facts that a search is made for, which fold: the robot and its tasks, the length that counts as a radian [m], which
     joints are `circles` (n,), how many seeds, a multiple of the team's size, how many of the first are of the `library`, the
-    range that seeds are in, whether they lie `near` a posture, whether answers must be `clear` of obstacles, and whether near
-    misses are rescued: after the first sixteen seeds, and at the end."""
+    range that seeds are in, whether they lie `near` a posture, whether answers must be `clear` of obstacles, or of the robot
+    `alone`, and whether near misses are rescued: after the first sixteen seeds, and at the end."""
 
     robot: Robot
     tasks: Tasks
@@ -46,6 +46,7 @@ class Setup(NamedTuple):
     inside: seeds.Range
     near: bool
     clear: bool
+    alone: bool
     rescues: bool
 
 
@@ -100,10 +101,12 @@ def first_from_seeds(setup: Setup, target: Target, shared: Shared) -> Answer:
 
 
 class _Turn(NamedTuple):
-    """Sixteen seeds after others: the number of the turn, whether a lane stops when one before it has landed, the nearest miss
-    of each lane with its seed and how far it is, and the answer."""
+    """Sixteen seeds after others: the number of the turn; whether it is `blind`, looks for the first posture that has the pose,
+    which most often is clear where the robot is alone; whether a lane stops when one before it has landed; the nearest miss of
+    each lane with its seed and how far it is; and the answer."""
 
     number: Any
+    blind: Any
     eager: Any
     miss: Lane
     seed: Any
@@ -119,6 +122,7 @@ class _Search:
         self.me = lax.axis_index(TEAM)
         self.limits = shared.round_low, shared.round_high, shared.weights
         self.turns = setup.most // TEAM_SIZE + 2 * setup.rescues
+        self.races = setup.alone or not setup.clear
         self.library = self._library() if setup.library else None
 
     def run(self) -> Answer:
@@ -126,8 +130,10 @@ class _Search:
         answer = self._nothing()
         q, away, turned = (x.astype(jnp.float32) for x in answer[:3])
         miss = Lane(q, away, turned, jnp.int32(0))
-        begin = _Turn(jnp.int32(0), jnp.bool_(not self.setup.clear), miss, jnp.int32(NOBODY), jnp.float64(jnp.inf), answer)
-        going = lambda turn: (turn.answer.number == NOBODY) & (turn.number < self.turns)
+        blind = jnp.bool_(self.races)
+        begin = _Turn(jnp.int32(0), blind, blind, miss, jnp.int32(NOBODY), jnp.float64(jnp.inf), answer)
+        last = 1 if self.setup.alone and not self.setup.rescues else self.turns  # the driver makes others of a blind search
+        going = lambda turn: (turn.answer.number == NOBODY) & (turn.number < jnp.where(turn.blind, last, self.turns))
         end = lax.while_loop(going, self._turn, begin)
         (q, away, turned, count), _ = self._taken(end.away, end.away < jnp.inf, end.miss)
         missed = Answer(q, away, turned, answer.clearance, answer.number, count)
@@ -136,21 +142,24 @@ class _Search:
 
     def _turn(self, turn: _Turn) -> _Turn:
         """Sixteen seeds, or the rescue of the nearest misses so far."""
-        clear, rescues = self.setup.clear, self.setup.rescues
+        rescues = self.setup.rescues
         rescue = ((turn.number == 1) | (turn.number == self.turns - 1)) if rescues else jnp.bool_(False)
         first = TEAM_SIZE * jnp.where(turn.number == 0, 0, turn.number - int(rescues))
         seed = jnp.where(rescue, turn.seed, first + self.me)
-        steps = refinement.STEPS if clear else jnp.where(first == 0, refinement.EARLY, refinement.STEPS)
+        steps = jnp.where((first == 0) & turn.blind, refinement.EARLY, refinement.STEPS)
         start = jnp.where(rescue, turn.miss.q, self._starts(first))
         ended = self._stepped(start, jnp.where(rescue, 0, steps), turn.eager)
         away = self._distance(ended)
         landed = jnp.where(rescue, turn.away < refinement.NEAR, self._landed(ended))
-        answer = self._first(ended, seed, landed, jnp.where(rescue, turn.away, self.me.astype(away.dtype)), rescue)
+        rank = jnp.where(rescue, turn.away, self.me.astype(away.dtype))
+        answer, hits = self._first(ended, seed, landed, rank, rescue, turn.blind)
         again = turn.eager & ~rescue & _any(landed)  # a lane that landed in vain stopped others
         nearer = ~rescue & ~again & (away < turn.away)
         pick = lambda new, old: jnp.where(nearer, new, old)
         miss, seed, away = jax.tree_util.tree_map(pick, (ended, seed, away), (turn.miss, turn.seed, turn.away))
-        return _Turn(jnp.where(again, turn.number, turn.number + 1), ~again & (not clear), miss, seed, away, answer)
+        number = jnp.where(hits, 0, jnp.where(again, turn.number, turn.number + 1))
+        blind = turn.blind & ~hits
+        return _Turn(number, blind, blind & ~again, miss, seed, away, answer)
 
     # ----------------------------------------------------------------------------------------------------------------
     # Where lanes start
@@ -211,7 +220,7 @@ class _Search:
         def lost(error: Any) -> Any:
             return eager & (self.me > _least(jnp.where(error <= refinement.ARRIVED, self.me, TEAM_SIZE)))
 
-        race = None if self.setup.clear else Race(lost, _any)
+        race = Race(lost, _any) if self.races else None
         narrow = lambda tree: jax.tree_util.tree_map(lambda x: x.astype(jnp.float32), tree)
         pose, limits = narrow((self.target.pose, self.limits))
         aim, creep = jnp.float32(refinement.ARRIVED), jnp.float32(jnp.inf)
@@ -230,24 +239,28 @@ class _Search:
             return lane
         return lane._replace(q=refinement.turned_inside(circles, self.shared.low, self.shared.high, lane.q))
 
-    def _first(self, ended: Lane, seed: Any, left: Any, rank: Any, rescue: Any) -> Answer:
-        """The first of the lanes that are `left`, by their rank, whose finish is an answer."""
+    def _first(self, ended: Lane, seed: Any, left: Any, rank: Any, rescue: Any, blind: Any) -> tuple[Answer, Any]:
+        """The first of the lanes that are `left`, by their rank, whose finish is an answer; and whether, where it goes blind,
+        the first that has the pose hits something."""
         steps = jnp.where(rescue, refinement.RESCUE, refinement.FINISHING)
-        creep = jnp.inf if self.setup.clear else jnp.where(rescue, refinement.CREEP, jnp.inf)
+        creep = jnp.where(rescue & self.races, refinement.CREEP, jnp.inf)
         most = jnp.where(rescue, RESCUED, TEAM_SIZE)
 
         def turn(state: Any) -> Any:
-            left, tries, _ = state
+            left, tries, *_ = state
             (lane, number), mine = self._taken(rank, left, (ended, seed))
             found = self._finished(lane.q, steps, creep)
-            clearance, exact = self._judged(found)
-            number = jnp.where(exact, number, NOBODY)
-            return left & ~mine, tries + 1, Answer(*found[:3], clearance, number, found.count + lane.count)
+            clearance, exact, clear = self._judged(found, blind)
+            number = jnp.where(exact & clear, number, NOBODY)
+            answer = Answer(*found[:3], clearance, number, found.count + lane.count)
+            return left & ~mine, tries + 1, blind & exact & ~clear, answer
 
-        going = lambda state: _any(state[0]) & (state[2].number == NOBODY) & (state[1] < most)
-        answer = lax.while_loop(going, turn, (left, jnp.int32(0), self._nothing()))[2]
-        shared = self.shared
-        return answer._replace(q=nearest_turns(self.setup.robot, answer.q, self.target.home, shared.low, shared.high))
+        going = lambda state: _any(state[0]) & (state[3].number == NOBODY) & ~state[2] & (state[1] < most)
+        _, _, hits, answer = lax.while_loop(going, turn, (left, jnp.int32(0), jnp.bool_(False), self._nothing()))
+        return answer._replace(q=self._at_home(answer.q)), hits
+
+    def _at_home(self, q: Any) -> Any:
+        return nearest_turns(self.setup.robot, q, self.target.home, self.shared.low, self.shared.high)
 
     def _taken(self, rank: Any, left: Any, tree: Any) -> tuple[Any, Any]:
         """What the lane with the least rank of those that are `left` has, for all; and whether a lane is that one."""
@@ -256,15 +269,18 @@ class _Search:
         none = lambda x: -jnp.inf if jnp.issubdtype(x.dtype, jnp.floating) else -NOBODY
         return jax.tree_util.tree_map(lambda x: _most(jnp.where(mine, x, jnp.asarray(none(x), x.dtype))), tree), mine
 
-    def _judged(self, found: Lane) -> tuple[Any, Any]:
-        """The clearance of a posture, and whether it is an answer."""
+    def _judged(self, found: Lane, blind: Any) -> tuple[Any, Any, Any]:
+        """The clearance of a posture, whether it has the pose, and whether it is clear. After a blind search postures are
+        looked at where they are at home, as the driver does it: the last bits differ."""
         tolerance = self.target.tolerance
         exact = (jnp.max(found.away) <= tolerance[0]) & (jnp.max(found.turned) <= tolerance[1])
         if not self.setup.clear:
-            return jnp.float64(jnp.nan), exact
+            return jnp.float64(jnp.nan), exact, jnp.bool_(True)
         around, margin = self.shared.around
-        clearance = clearance_around(self.setup.robot, found.q, around)
-        return clearance, exact & (clearance >= margin)
+        q = jnp.where(blind, self._at_home(found.q), found.q) if self.setup.alone else found.q
+        measured = lambda: clearance_around(self.setup.robot, q, around)
+        clearance = lax.cond(exact, measured, lambda: -jnp.inf * jnp.ones((), found.q.dtype))
+        return clearance, exact, clearance >= margin
 
     # ----------------------------------------------------------------------------------------------------------------
     # Errors
