@@ -42,7 +42,12 @@ def is_direct(problem: Problem) -> bool:
         return False
     if problem.strategy == "near":
         return not endless(problem.robot).any()
-    return problem.reference is None and (problem.strategy != "closed_form" or (free and enumerable(_blind(problem))))
+    return problem.reference is None and (problem.strategy != "closed_form" or (free and enumerable(blind(problem))))
+
+
+def has_branches(problem: Problem) -> bool:
+    """Whether a direct problem is answered by its closed form."""
+    return (problem.scene is None or problem.alone) and enumerable(blind(problem))
 
 
 class Direct:
@@ -74,7 +79,8 @@ class Direct:
         return result
 
 
-def _blind(problem: Problem) -> Problem:
+def blind(problem: Problem) -> Problem:
+    """The problem with nothing to hit."""
     return problem if problem.scene is None else dataclasses.replace(problem, scene=None)
 
 
@@ -101,9 +107,8 @@ def is_compiled(problem: Problem) -> bool:
 
 def _program(problem: Problem) -> tuple[HostKernel, tuple[Any, ...], bool]:
     """The program that answers targets, an example of what it is given, and whether it goes through branches."""
-    blind = _blind(problem)
-    if (problem.scene is None or problem.alone) and enumerable(blind):
-        values = points(blind)
+    if has_branches(problem):
+        values = points(blind(problem))
         given: tuple[Any, ...] = problem.poses[:1], problem.tolerance[:1], np.int32(0), np.int32(len(values)), values
         if problem.scene is None:
             return first_answers(problem.robot), given, True
@@ -129,10 +134,11 @@ def _search(problem: Problem) -> Searched:
     return search
 
 
-def seed_rows(problem: Problem, most: int, rescues: bool) -> tuple[tuple[Target, Shared], Setup]:
-    """The rows of the targets, what they share, and the facts of a search from `most` seeds."""
+def seed_rows(problem: Problem, most: int, rescues: bool, library: int = seeds.SETS) -> tuple[tuple[Target, Shared], Setup]:
+    """The rows of the targets, what they share, and the facts of a search from `most` seeds, of which so many are of the
+    library, if it has one."""
     robot, near = problem.robot, problem.strategy == "near"
-    library = seeds.SETS if problem.strategy == "library" else 0
+    library = library if problem.strategy == "library" else 0
     inside = problem.whole if near else problem.inside
     table = np.zeros((most, robot.num_joints))
     if near:

@@ -10,6 +10,7 @@ import functools
 from concurrent.futures import Future
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxik.collision.clearances import check_geometry, has_geometry
@@ -101,9 +102,8 @@ def answered_directly(
     robot: Robot, target: Any, scene: Any, seed: int, options: IKOptions | None, changes: dict[str, Any]
 ) -> IKResult | None:
     """The answer for one pose (4, 4), an array, where the direct way finds it; else None."""
-    if type(target) is not np.ndarray or target.shape != (4, 4) or target.dtype.kind not in "iuf":
-        return None
-    if not (isinstance(robot, Robot) and (scene is None or (isinstance(scene, Scene) and scene.concrete))):
+    pose = as_pose(target)
+    if pose is None or not (isinstance(robot, Robot) and (scene is None or (isinstance(scene, Scene) and scene.concrete))):
         return None
     given = tuple([(name, type(value), value) for name, value in changes.items()])
     try:
@@ -113,7 +113,14 @@ def answered_directly(
     place = kind.place(scene)
     if not place.settled:
         kind.look(place, scene, seed, IKOptions.chosen(options, changes))
-    return None if place.direct is None else place.direct(np.asarray(target, np.float64))
+    return None if place.direct is None else place.direct(pose)
+
+
+def as_pose(target: Any) -> np.ndarray | None:
+    """A single pose (4, 4), an array that is known, in float64; None for all else."""
+    if not isinstance(target, np.ndarray | jax.Array) or isinstance(target, jax.core.Tracer) or target.shape != (4, 4):
+        return None
+    return np.asarray(target, np.float64) if target.dtype.kind in "iuf" else None
 
 
 def _kind(robot: Robot, key: Any) -> _Kind:

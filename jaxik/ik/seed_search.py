@@ -94,10 +94,12 @@ class Answer(NamedTuple):
     count: Any
 
 
-@host_kernels(1)
-def first_from_seeds(setup: Setup, target: Target, shared: Shared) -> Answer:
+def searched_from_seeds(setup: Setup, target: Target, shared: Shared) -> Answer:
     """The answer; where there is none, the nearest miss, as the end of its steps left it. Traced."""
     return team(lambda *given: _Search(setup, *given).run())(target, shared)
+
+
+first_from_seeds = host_kernels(1)(searched_from_seeds)
 
 
 class _Turn(NamedTuple):

@@ -10,7 +10,7 @@ from jaxik.checks.arrays import numbers
 from jaxik.collision.scene import Scene
 from jaxik.ik.direct import Direct
 from jaxik.ik.options import IKOptions
-from jaxik.ik.remembered import direct_problem
+from jaxik.ik.remembered import as_pose, direct_problem
 from jaxik.ik.result import IKResult
 from jaxik.ik.solve import solve_ik
 from jaxik.kinematics.robot import Robot
@@ -35,16 +35,18 @@ class Solver:
         self.options = IKOptions.chosen(options, changes)
         self.update(scene)
 
-    def update(self, scene: Scene | None) -> None:
-        """Changes the world. A scene of the same kinds of solids, about as many, compiles nothing."""
-        self.scene = scene
-        self._direct = self._prepared(self.options)
-        self._following: Direct | None = None
-        self._near: IKOptions | None = None
+    def __reduce__(self) -> Any:
+        return _again, (self.robot, self.scene, self.seed, self.options)  # another process compiles its own
 
-    def _prepared(self, options: IKOptions) -> Direct | None:
-        problem = direct_problem(self.robot, self.scene, self.seed, options)
-        return None if problem is None else Direct(problem)
+    @property
+    def scene(self) -> Scene | None:
+        """The world as it was told last."""
+        return self._world.scene
+
+    def update(self, scene: Scene | None) -> None:
+        """Changes the world, for calls that begin after this one. A scene of the same kinds of solids, about as many, compiles
+        nothing."""
+        self._world = _World(self.robot, scene, self.seed, self.options)
 
     def __call__(self, target: Any, posture: Any = None) -> IKResult:
         """Returns the answer for a target, or the reason why there is none; as `solve_ik(robot, target)`.
@@ -52,32 +54,40 @@ class Solver:
         From a `posture` (n,) [rad, m] the search begins there, and goes on around it in ever wider boxes: as
         `solve_ik(robot, target, seeds="near", choice="first", reference=posture)`. Raises `ValueError` for other shapes.
         """
-        if posture is not None:
-            return self._from(target, posture)
-        if self._direct is not None and (pose := _as_pose(target)) is not None:
-            found = self._direct(pose)
-            if found is not None:
-                return found
-        return solve_ik(self.robot, target, scene=self.scene, seed=self.seed, options=self.options)
+        world = self._world
+        if posture is None:
+            direct, home, options = world.direct, None, self.options
+        else:
+            home = numbers("posture", posture, (self.robot.num_joints,), finite=True)
+            direct, options = world.near(home)
+        pose = None if direct is None else as_pose(target)
+        if pose is not None and (found := direct(pose, home)) is not None:  # type: ignore[misc]
+            return found
+        if home is not None:
+            options = options.changed({"reference": home})
+        return solve_ik(self.robot, target, scene=world.scene, seed=self.seed, options=options)
 
-    def _from(self, target: Any, posture: Any) -> IKResult:
-        """The answer from seeds near a posture."""
-        posture = numbers("posture", posture, (self.robot.num_joints,), finite=True)
+
+class _World:
+    """The programs for one scene; those of searches near a posture once one is given."""
+
+    def __init__(self, robot: Robot, scene: Scene | None, seed: int, options: IKOptions):
+        self.scene, self._asked = scene, (robot, scene, seed)
+        self._options = options
+        self.direct = self._made(options)
+        self._near: tuple[Direct | None, IKOptions] | None = None
+
+    def near(self, posture: np.ndarray) -> tuple[Direct | None, IKOptions]:
+        """The programs of a search near a posture, and its options."""
         if self._near is None:
-            near = {"seeds": "near", "choice": "first", "reference": posture}
-            self._near = self.options.changed(near)
-            self._following = self._prepared(self._near)
-        if self._following is not None and (pose := _as_pose(target)) is not None:
-            found = self._following(pose, posture)
-            if found is not None:
-                return found
-        return solve_ik(
-            self.robot, target, scene=self.scene, seed=self.seed, options=self._near.changed({"reference": posture})
-        )
+            options = self._options.changed({"seeds": "near", "choice": "first", "reference": posture})
+            self._near = self._made(options), options
+        return self._near
+
+    def _made(self, options: IKOptions) -> Direct | None:
+        problem = direct_problem(*self._asked, options)
+        return None if problem is None else Direct(problem)
 
 
-def _as_pose(target: Any) -> np.ndarray | None:
-    """A single pose as an array in float64; None for all else."""
-    if type(target) is not np.ndarray or target.shape != (4, 4) or target.dtype.kind not in "iuf":
-        return None
-    return np.asarray(target, np.float64)
+def _again(robot: Robot, scene: Scene | None, seed: int, options: IKOptions) -> Solver:
+    return Solver(robot, scene=scene, seed=seed, options=options)
