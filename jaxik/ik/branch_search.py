@@ -12,7 +12,7 @@ from typing import Any
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.analytic.solutions import BRANCHES, closed_form, first_branch
+from jaxik.analytic.solutions import BRANCHES, candidates, first_branch
 from jaxik.ik.sqp_programs import clearance_around, errors
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE
@@ -46,16 +46,18 @@ def first_clear_answer(
 
     def point(state: Any) -> Any:
         number, *nothing = state
-        q, _, inside = closed_form(robot, pose, values[number])
+        left = candidates(robot, pose, values[number])
 
         def branch(state: Any) -> Any:
-            k, *_ = state
-            away, turned, exact = _judged(robot, q[k], pose, tolerance)
-            fits = inside[k] & exact
-            apart = lax.cond(fits, lambda: clearance_around(robot, q[k], around), lambda: -jnp.inf * jnp.ones_like(away))
-            return k + 1, q[k], away, turned, apart, jnp.where(apart >= margin, BRANCHES * number + k, NOBODY)
+            k = state[0]
+            q, fits = left.finished(k)
+            away, turned, exact = _judged(robot, q, pose, tolerance)
+            measured = lambda: clearance_around(robot, q, around)
+            apart = lax.cond(fits & exact, measured, lambda: -jnp.inf * jnp.ones_like(away))
+            return left.next(k + 1), q, away, turned, apart, jnp.where(apart >= margin, BRANCHES * number + k, NOBODY)
 
-        found = lax.while_loop(lambda state: (state[-1] == NOBODY) & (state[0] < BRANCHES), branch, (jnp.int32(0), *nothing))
+        begin = left.next(jnp.int32(0)), *nothing
+        found = lax.while_loop(lambda state: (state[-1] == NOBODY) & (state[0] < BRANCHES), branch, begin)
         return number + 1, *found[1:]
 
     nothing = jnp.zeros((), pose.dtype)
