@@ -41,7 +41,7 @@ class SearchedIK(NamedTuple):
 def ik_search(
     robot: Robot, *, scene: Scene | None = None, seed: int = 0, options: IKOptions | None = None, **changes: Any
 ) -> Callable[..., SearchedIK]:
-    """Makes the search of `solve_ik` for one target a pure function. Host; the function is traced, in float64.
+    """Makes the search of `solve_ik` for one target a pure function. Host. The function is traced, in float64.
 
     It is `find(pose)`, of base_T_tip (4, 4) [m]; with `seeds="near"` it is `find(pose, posture)`, and looks around the posture
     (n,) [rad, m].
