@@ -83,15 +83,16 @@ class HostKernel:
                 other.result()
         return outs
 
-    def repeated(self, *args: Any, double: bool | None = None) -> Callable[..., list[np.ndarray]]:
+    def repeated(self, *args: Any, double: bool | None = None, given: int | None = None) -> Callable[..., list[np.ndarray]]:
         """`run` for control loops, in a tenth of its time: a function `again(*leaves, out=None)` of the leaves of such
-        arguments, of the shapes of these, at which it does not look. Its results are new arrays, or `out`, arrays like them; a
-        call with `out` allocates nothing. Threads may share it. Raises as `run` does."""
+        arguments, or of the first that are `given`, where the others stay as they are here; of the shapes of these, at which it
+        does not look. Its results are new arrays, or `out`, arrays like them; a call with `out` allocates nothing. Threads may
+        share it. Raises as `run` does."""
         made, operands, outs, count = self._prepared(args, double)
-        leaves = len(jax.tree_util.tree_leaves(args))
-        shared = [np.array(x) for x in operands[leaves:]]  # closed over
+        given = len(jax.tree_util.tree_leaves(args)) if given is None else given
+        shared = [np.array(x) for x in operands[given:]]
         rows = [Row(x.shape, x.dtype) for x in outs]
-        return repeated(made.work, operands[:leaves], shared, rows, count=count, vectors=-(-count // made.width))
+        return repeated(made.work, operands[:given], shared, rows, count=count, vectors=-(-count // made.width))
 
     def one(self, *args: Any, double: bool, form: Any = list) -> Callable[..., Any]:
         """`repeated` for one configuration, from the leaves of its first `lanes` arguments, without the axis of rows, to the
@@ -103,8 +104,22 @@ class HostKernel:
         shared, results = [np.array(x) for x in operands[leaves:]], [Row(x.shape[1:], x.dtype) for x in outs]
         return repeated(made.work, [x[0] for x in operands[:leaves]], shared, results, checked=True, form=form)
 
+    def knows(self, *args: Any, double: bool) -> bool:
+        """Whether the kernel for such arguments has been made in this process."""
+        return self._keyed(args, double)[0] in self.known
+
     def _prepared(self, args: Any, double: bool | None) -> tuple[call.Made, list[np.ndarray], list[np.ndarray], int]:
         """The kernel, its operands, where its results go, and how many rows there are."""
+        key, operands, count = self._keyed(args, double)
+        found = self.known.get(key)
+        if found is None:
+            found = self._once(key)
+        outputs, made, more = found
+        operands += more
+        return made, operands, [np.empty((count, *a.shape), a.dtype) for a in outputs], count
+
+    def _keyed(self, args: Any, double: bool | None) -> tuple[Any, list[np.ndarray], int]:
+        """The key of the kernel for such arguments, its operands, and how many rows there are."""
         args = tuple([np.asarray(x) if type(x) is list else x for x in args[: self.lanes]]) + args[self.lanes :]
         leaves, tree = jax.tree_util.tree_flatten(args)
         rows = len(jax.tree_util.tree_leaves(args[: self.lanes]))
@@ -115,13 +130,7 @@ class HostKernel:
         operands = [as_operand(x, width) for x in leaves]
         count = _rows(operands, rows)
         shapes = [x.shape[1:] for x in operands[:rows]] + [x.shape for x in operands[rows:]]
-        key = tree, double, rows, tuple(shapes), "".join([x.dtype.char for x in operands])
-        found = self.known.get(key)
-        if found is None:
-            found = self._once(key)
-        outputs, made, more = found
-        operands += more
-        return made, operands, [np.empty((count, *a.shape), a.dtype) for a in outputs], count
+        return (tree, double, rows, tuple(shapes), "".join([x.dtype.char for x in operands])), operands, count
 
     def _once(self, key: Any) -> tuple[list[Any], call.Made, list[np.ndarray]]:
         """Makes a kernel, or waits for the thread that does."""
