@@ -14,6 +14,11 @@ if tuple(map(int, jax.__version__.split(".")[:2])) < OLDEST:
 MANUAL = "manual_axis_type" if hasattr(jax.core.ShapedArray((), int), "mat") else "vma"
 
 
+def varied(x: Any, axes: tuple[str, ...]) -> Any:
+    """An array as one that varies along more manual axes of a mesh."""
+    return jax.lax.pcast(x, axes, to="varying") if hasattr(jax.lax, "pcast") else jax.lax.pvary(x, axes)
+
+
 def manual(aval: Any) -> dict[str, Any]:
     """The argument by which another type varies along the same axes of a mesh."""
     return {MANUAL: aval.mat if MANUAL == "manual_axis_type" else aval.vma}

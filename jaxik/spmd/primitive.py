@@ -16,7 +16,7 @@ from jax.extend.core.primitives import stop_gradient_p
 from jax.interpreters import ad, batching, mlir
 
 from jaxik.spmd import call
-from jaxik.spmd.jax_version import manual, varying
+from jaxik.spmd.jax_version import manual, varied, varying
 from jaxik.spmd.scalarise import RULES, Array, Scalariser, Unsupported, type_of
 from jaxik.spmd.trace import Traced, is_float, is_smooth, on_one_device, replaced
 
@@ -39,7 +39,7 @@ def bind(traced: Traced, args: Sequence[Any], batch: tuple[int, ...] = (), masks
 def _alike(args: Sequence[Any]) -> Sequence[Any]:
     """Inside `shard_map` with its checks: what one operand differs along, all do."""
     axes = _varying(map(jax.typeof, args))
-    return [jax.lax.pcast(x, tuple(axes - _varying([jax.typeof(x)])), to="varying") for x in args] if axes else args
+    return [varied(x, tuple(axes - _varying([jax.typeof(x)]))) for x in args] if axes else args
 
 
 @kernel_p.def_abstract_eval
