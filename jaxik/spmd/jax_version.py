@@ -16,7 +16,8 @@ MANUAL = "manual_axis_type" if hasattr(jax.core.ShapedArray((), int), "mat") els
 
 def varied(x: Any, axes: tuple[str, ...]) -> Any:
     """An array as one that varies along more manual axes of a mesh."""
-    return jax.lax.pcast(x, axes, to="varying") if hasattr(jax.lax, "pcast") else jax.lax.pvary(x, axes)
+    cast = getattr(jax.lax, "pcast", None)
+    return cast(x, axes, to="varying") if cast else jax.lax.pvary(x, axes)  # type: ignore[attr-defined]
 
 
 def manual(aval: Any) -> dict[str, Any]:
