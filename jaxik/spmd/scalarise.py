@@ -84,11 +84,17 @@ def _type_of(dtype: Any) -> str:
     return name
 
 
-def scalarised(traced: Traced) -> Program:
-    """The program of a function; its operands are the function's. Raises `Unsupported`."""
+def scalarised(traced: Traced, tables: Sequence[np.ndarray] = ()) -> Program:
+    """The program of a function; its operands are the function's, but that the last are `tables` of constants. Raises
+    `Unsupported`, with the `equation` that it was."""
     s, operands = Scalariser(Program()), []
+    known = dict(zip(range(len(traced.inputs) - len(tables), len(traced.inputs)), tables, strict=True))
     for number, aval in enumerate(traced.inputs):
         kind = type_of(aval)
+        if number in known:
+            table = np.ascontiguousarray(known[number], aval.dtype)
+            operands.append(Array(np.arange(table.size).reshape(aval.shape), kind, s.program.table(table)))
+            continue
         memory = Memory("operand", number, kind, int(np.prod(aval.shape)))
         operands.append(Array(np.arange(memory.size).reshape(aval.shape), kind, memory))
     s.program.outputs = [s.output(x) for x in s.traced(traced, operands)]
@@ -114,11 +120,15 @@ class Scalariser:
         for eqn in jaxpr.eqns:
             rule = RULES.get(eqn.primitive.name)
             if rule is None:
-                raise Unsupported(f"the primitive '{eqn.primitive.name}'")
+                raise Unsupported(f"the primitive '{eqn.primitive.name}'", eqn)
             if self.tangents is not None:
                 moves = bool(self.tangents) and any(not isinstance(v, Literal) and v in self.tangents for v in eqn.invars)
                 self.program.structural = moves
-            results = rule(self, eqn, *map(read, eqn.invars))
+            try:
+                results = rule(self, eqn, *map(read, eqn.invars))
+            except Unsupported as error:
+                error.equation = error.equation or eqn
+                raise
             if len(self.program.ops) > MOST:
                 raise Unsupported(f"more than {MOST} operations")
             if not eqn.primitive.multiple_results:
