@@ -1,0 +1,13 @@
+"""Functions as machine code for programs without Python: C, C++, NumPy alone, a browser.
+
+In order: `functions` trace one of one configuration and name what it takes and returns, `refusals` say in one line what cannot
+be done, `targets` are the processors, `one_row` and `entries` write what C calls around the kernel compiler's program
+(`jaxik.spmd`), `archive` and `header` are the library's files, `python_loader` and `webassembly` those of other callers,
+`export` writes them. `robot_functions` are those of a robot, and `robot_folder` is one with an example and a test of its own.
+"""
+
+from jaxik.codegen.export import Exported, export
+from jaxik.codegen.functions import Field, Function
+from jaxik.codegen.targets import TARGETS
+
+__all__ = ["TARGETS", "Exported", "Field", "Function", "export"]
