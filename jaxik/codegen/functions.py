@@ -23,12 +23,13 @@ from jaxik.spmd.trace import trace
 _C_TYPES = {"float": "float", "double": "double", "i1": "uint8_t"}
 _C_TYPES |= {f"{sign}{bits}": f"{'u' * (sign == 'u')}int{bits}_t" for sign in "iu" for bits in (8, 16, 32, 64)}
 _NARROW = {np.dtype(np.int64): np.dtype(np.int32), np.dtype(np.uint64): np.dtype(np.uint32)}
-_RESERVED = """
+_WORDS = """
 auto break case char const continue default do double else enum extern float for goto if inline int long
 register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while
 class this new delete template namespace operator private public protected try catch throw using virtual
 friend bool true false count workspace main
-""".split()  # in C, in C++, and in what is written here
+"""
+_RESERVED = _WORDS.split()  # in C, in C++, and in what is written here
 
 
 @dataclasses.dataclass(frozen=True)

@@ -38,7 +38,7 @@ class Emitter:
     # The whole
 
     def function(self) -> str:
-        """`define internal void @lanes(ptr %ins, ptr %outs)`, where the addresses are in two tables; constants, declarations."""
+        """`define internal void @lanes(ptr %ins, ptr %outs)`, with addresses in two tables; constants and declarations."""
         body = self.body()
         scratch, released = buffers(self.scratch())
         head = ["define internal void @lanes(ptr noalias %ins, ptr noalias %outs) #0 {", "entry:"]

@@ -54,8 +54,8 @@ def vector_bits() -> int:
 
 
 def target_machine(quick: bool = False, target: Target | None = None) -> Any:
-    """LLVM for a target, this machine unless it is told; `quick` makes code at once, in a third of the time, that takes twice as
-    long and has the same bits.
+    """LLVM for a target, this machine unless it is told; `quick` makes code at once, in a third of the time, that takes twice
+    as long and has the same bits.
 
     LLVM's level 1, as 2 would order the instructions once more after registers are given: quadratic in a block, two thirds of
     the time of a large kernel, and nothing that a processor gains by that orders them itself.
