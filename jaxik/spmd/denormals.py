@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 
 class Flushing(NamedTuple):
-    """Lines of LLVM's language that `read` the state and make the one that is wanted of it, `set` this, and `restore` the other;
-    what says that both are the `same`; and what stands outside of functions."""
+    """Lines of LLVM's language that `read` the state and make the wanted one of it, `set` this, and `restore` the other; what
+    says that both are the `same`; and what stands outside of functions."""
 
     read: tuple[str, ...] = ()
     set: tuple[str, ...] = ()
