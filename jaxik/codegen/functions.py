@@ -113,7 +113,7 @@ def function_of(
         check_name(each.name)
     with refused(name):
         made = entries(name, program, [f.row for f in arguments], [f.row for f in outputs], wanted)
-    image = machine.compiled(made.text, target=wanted)
+    image = machine.compiled(made.text, target=wanted, thorough=True)
     calls = tuple(library_calls(image))
     return Function(name, words.get("", ""), arguments, outputs, target_name, made.workspace, calls, image)
 
