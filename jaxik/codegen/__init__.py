@@ -8,6 +8,8 @@ be done, `targets` are the processors, `one_row` and `entries` write what C call
 
 from jaxik.codegen.export import Exported, export
 from jaxik.codegen.functions import Field, Function
+from jaxik.codegen.robot_folder import export_robot
+from jaxik.codegen.robot_functions import FUNCTIONS
 from jaxik.codegen.targets import TARGETS
 
-__all__ = ["TARGETS", "Exported", "Field", "Function", "export"]
+__all__ = ["FUNCTIONS", "TARGETS", "Exported", "Field", "Function", "export", "export_robot"]
