@@ -131,14 +131,13 @@ def _arguments(
     if not isinstance(signature, tuple | list):
         raise ValueError(f"export: {name}: signature is a {type(signature).__name__}; write a tuple with an entry an argument")
     try:
-        bound = inspect.signature(function).bind(*signature)
         names = list(inspect.signature(function).parameters)
+        inspect.signature(function).bind(*signature)
     except TypeError as error:
         raise ValueError(f"export: {name}: does not take such a signature: {error}") from None
     except ValueError:  # a function without a signature
-        bound, names = None, [f"x{k}" for k in range(len(signature))]
-    if bound is not None and bound.arguments and isinstance(next(reversed(bound.arguments.values())), tuple):
-        names = [*names[:-1], *(f"{names[-1]}{k}" for k in range(len(signature) - len(names) + 1))]
+        names = [f"x{k}" for k in range(len(signature))]
+    names += [f"{names[-1]}{k}" for k in range(1, 1 + len(signature) - len(names))]  # of a function of any number
     found, tree = jax.tree_util.tree_flatten_with_path(tuple(signature))
     fields = [(_path(names, path), _array(name, x, double)) for path, x in found]
     return fields, [x for _, x in fields], tree

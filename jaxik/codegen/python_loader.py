@@ -65,7 +65,7 @@ import pathlib
 import numpy as np
 
 _FUNCTIONS = {functions}
-_library = ctypes.CDLL(str(pathlib.Path(__file__).with_name("{name}.so")))
+_library = ctypes.CDLL(str(pathlib.Path(__file__).with_name("lib{name}.so")))
 
 
 def _function(name, workspace, arguments, results):
@@ -81,7 +81,7 @@ def _function(name, workspace, arguments, results):
             raise ValueError(f"{{name}} takes {{', '.join(word for word, *_ in taken)}}; {{len(values)}} values were given")
         rows, arrays = None, []
         for (word, kind, shape, shared), value in zip(taken, values):
-            array = np.ascontiguousarray(value, kind).reshape(np.shape(value))
+            array = np.asarray(value, kind, order="C")
             if array.shape != shape:
                 if shared or array.shape[1:] != shape or rows not in (None, len(array)):
                     told = f"{{word}} has shape {{array.shape}}; write {{shape}}, or as many rows as the others"

@@ -27,7 +27,7 @@ def refused(name: str) -> Iterator[None]:
     try:
         yield
     except Unsupported as error:
-        what, place = str(error), _place(error.equation)
+        what, place = str(error), next(filter(None, map(_place, error.equations)), "")
         raise ValueError(f"export: {name}: a kernel cannot do {what}{place}{_mend(what)}") from error
     except jax.errors.KeyReuseError:
         raise

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxik.codegen.c_files import cmake_lists, example, test
-from jaxik.codegen.export import Exported, write_library
 from jaxik.codegen.functions import Function
 from jaxik.codegen.header import LICENCE
+from jaxik.codegen.library import Exported, write_library
 from jaxik.codegen.robot_functions import robot_function
 from jaxik.codegen.targets import WORDS, target
 from jaxik.collision.scene import Scene
@@ -76,5 +76,5 @@ def _readme(name: str, robot: Robot, functions: Sequence[Function], scene: Scene
         "",
     ]
     lines += ["`test.c` holds each function against numbers that were computed at export."]
-    lines += ["", f"`{name}.py` calls `{name}.so` on NumPy arrays, without jaxik and JAX."] if python else []
+    lines += ["", f"`{name}.py` calls `lib{name}.so` on NumPy arrays, without jaxik and JAX."] if python else []
     return "\n".join([*lines, ""])

@@ -60,6 +60,7 @@ def is_here(name: str) -> bool:
 
 
 def library_calls(image: bytes) -> Sequence[str]:
-    """The functions of a C library that an object asks for, by the names in its table of symbols: those of `LIBRARY`."""
-    apart = lambda name: any(before + name.encode() + b"\0" in image for before in (b"\0", b"\0_"))
-    return [name for name in LIBRARY if apart(name)]
+    """The functions of a C library that an object asks for, of those in `LIBRARY`, by the names in its table of symbols: there
+    they end in 0, or in WebAssembly begin with their length."""
+    told = lambda name: (b"\0%b\0" % name, b"\0_%b\0" % name, b"%c%b" % (len(name), name))
+    return [name for name in LIBRARY if any(each in image for each in told(name.encode()))]

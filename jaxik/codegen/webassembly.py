@@ -55,22 +55,22 @@ def javascript(name: str, functions: Sequence[Function]) -> str:
         }
         for each in functions
     }
-    return _LOADER.replace("NAME", name).replace("FUNCTIONS", json.dumps(described, indent=2))
+    return _LOADER.replace("@NAME@", name).replace("@FUNCTIONS@", json.dumps(described, indent=2))
 
 
-_LOADER = """// The functions of NAME on arrays; made by jaxik, and yours.
+_LOADER = """// The functions of @NAME@ on arrays; made by jaxik, and yours.
 //
-//     import { load } from "./NAME.mjs";
+//     import { load } from "./@NAME@.mjs";
 //     const robot = await load();            // or load(bytes)
-//     const { pose } = robot.NAME_pose({ q: [0, 0, 0, 0, 0, 0, 0] });
+//     const { pose } = robot.@NAME@_pose({ q: [0, 0, 0, 0, 0, 0, 0] });
 //
 // Arguments are arrays of one configuration, or of several end to end; results are typed arrays, row by row.
 
-const FUNCTIONS_OF = FUNCTIONS;
+const DESCRIBED = @FUNCTIONS@;
 const LIBRARY = { sin: Math.sin, cos: Math.cos, tan: Math.tan, pow: Math.pow, fmod: (a, b) => a % b };
 const KINDS = { Float32Array, Float64Array, Uint8Array, Int8Array, Uint16Array, Int16Array, Uint32Array, Int32Array };
 
-export async function load(source = new URL("./NAME.wasm", import.meta.url)) {
+export async function load(source = new URL("./@NAME@.wasm", import.meta.url)) {
   const bytes = source instanceof URL || typeof source === "string" ? await (await fetch(source)).arrayBuffer() : source;
   const env = {};
   for (const [name, of] of Object.entries(LIBRARY)) {
@@ -79,7 +79,7 @@ export async function load(source = new URL("./NAME.wasm", import.meta.url)) {
   }
   const { instance } = await WebAssembly.instantiate(bytes, { env });
   const made = {};
-  for (const [name, { arguments: taken, results, workspace }] of Object.entries(FUNCTIONS_OF)) {
+  for (const [name, { arguments: taken, results, workspace }] of Object.entries(DESCRIBED)) {
     made[name] = (given) => call(instance.exports, name, taken, results, workspace, given);
   }
   return made;

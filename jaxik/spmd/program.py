@@ -43,11 +43,11 @@ def limits(dtype: np.dtype[Any]) -> tuple[Any, Any]:
 
 class Unsupported(NotImplementedError):  # noqa: N818 - of functions that are in order, and run elsewhere
     """The error of what a kernel cannot do; one line names it. `HostKernel.run` raises it, `kernel` warns and goes to XLA. The
-    `equation` of the jaxpr that it stands in is told where it is known: it says where in a source that is."""
+    `equations` of the jaxprs that it stands in, the innermost first, say where in a source that is."""
 
-    def __init__(self, what: str = "", equation: Any = None):
+    def __init__(self, what: str = ""):
         super().__init__(what)
-        self.equation = equation
+        self.equations: list[Any] = []
 
 
 class Op(NamedTuple):

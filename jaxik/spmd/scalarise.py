@@ -86,7 +86,7 @@ def _type_of(dtype: Any) -> str:
 
 def scalarised(traced: Traced, tables: Sequence[np.ndarray] = ()) -> Program:
     """The program of a function; its operands are the function's, but that the last are `tables` of constants. Raises
-    `Unsupported`, with the `equation` that it was."""
+    `Unsupported`, with the `equations` that it was in."""
     s, operands = Scalariser(Program()), []
     known = dict(zip(range(len(traced.inputs) - len(tables), len(traced.inputs)), tables, strict=True))
     for number, aval in enumerate(traced.inputs):
@@ -118,16 +118,13 @@ class Scalariser:
             env[var] = value
         read = lambda v: self.known(v.val, v.aval) if isinstance(v, Literal) else env[v]
         for eqn in jaxpr.eqns:
-            rule = RULES.get(eqn.primitive.name)
-            if rule is None:
-                raise Unsupported(f"the primitive '{eqn.primitive.name}'", eqn)
             if self.tangents is not None:
                 moves = bool(self.tangents) and any(not isinstance(v, Literal) and v in self.tangents for v in eqn.invars)
                 self.program.structural = moves
             try:
-                results = rule(self, eqn, *map(read, eqn.invars))
+                results = RULES.get(eqn.primitive.name, _refused)(self, eqn, *map(read, eqn.invars))
             except Unsupported as error:
-                error.equation = error.equation or eqn
+                error.equations.append(eqn)
                 raise
             if len(self.program.ops) > MOST:
                 raise Unsupported(f"more than {MOST} operations")
@@ -392,6 +389,10 @@ def rule(*names: str) -> Callable[[Rule], Rule]:
         return function
 
     return register
+
+
+def _refused(_: Scalariser, eqn: Any, *arrays: Array) -> Any:
+    raise Unsupported(f"the primitive '{eqn.primitive.name}'")
 
 
 def fixed_part(place: Sequence[Index]) -> tuple[int, ...]:

@@ -52,7 +52,7 @@ def export(
 
     - `NAME.h`, with `NAME` of one configuration and `NAME_batch` of many, `NAME.o` and the static library `libNAME.a`, position
       independent: they allocate nothing, know no globals but constants, and are safe in threads;
-    - with `python=True` the shared library `NAME.so` and `NAME.py`, which calls it on NumPy arrays; a C compiler links it;
+    - with `python=True` the shared library `libNAME.so` and `NAME.py`, which calls it on NumPy arrays; a C compiler links it;
     - for `wasm32`, `NAME.wasm` and `NAME.mjs`, which calls it on arrays of JavaScript.
 
     `name` is the function's own unless it is told. `results` name what is returned, `words` tell of arguments and results by
@@ -83,7 +83,7 @@ def write_library(
     if functions[0].target == "wasm32":
         files |= {f"{name}.wasm": module(functions), f"{name}.mjs": javascript(name, functions).encode()}
     if python:
-        files |= {f"{name}.so": linked(name, functions), f"{name}.py": loader(name, functions, words).encode()}
+        files |= {f"lib{name}.so": linked(name, functions), f"{name}.py": loader(name, functions, words).encode()}
     folder.mkdir(parents=True, exist_ok=True)
     for file, content in files.items():
         (folder / file).write_bytes(content)
