@@ -31,12 +31,13 @@ def shell(folder, *command, **more):
 @compiled
 @pytest.mark.parametrize("double", [False, True])
 def test_a_folder_passes_its_own_test_without_python(double, tmp_path):
-    made = export_robot(jaxik.load(str(urdf_file()), tip=TIP), DYNAMICS, tmp_path, name="panda", double=double)
+    names = DYNAMICS[:3] if double else DYNAMICS
+    made = export_robot(jaxik.load(str(urdf_file()), tip=TIP), names, tmp_path, name="panda", double=double)
     strict = ["-std=c11", "-O1", "-Wall", "-Wextra", "-Wno-unused-function", "-pedantic", "-Werror"]
     for program in ("main", "test"):
         shell(tmp_path, "gcc", *strict, f"{program}.c", "libpanda.a", "-o", program, env=BARE)
     told = shell(tmp_path, "./test", env=BARE)
-    assert told.count(" 0 ulp apart") == len(DYNAMICS) and "all as computed" in told
+    assert told.count(" 0 ulp apart") == len(names) and "all as computed" in told
     assert "panda_pose: pose =" in shell(tmp_path, "./main", env=BARE)
     header = tmp_path / "cxx.cpp"
     header.write_text('#include "panda.h"\nint main() { return sizeof(&panda_pose) == 0; }\n')
