@@ -1,8 +1,8 @@
 """Exported functions of a Panda, called from C one configuration at a time, beside CasADi's C and Pinocchio's C++.
 
 `python batch_eval/export_benchmark.py` needs `pip install -e ".[test,peers]"`, gcc, and for Pinocchio g++ with Eigen's headers.
-One process, one thread; contenders take turns, 64 of 1,024 configurations each, and each contender's median is told. Everyone has
-the same numbers of the same robot, and is held against Pinocchio in Python. Prints and writes
+One process, one thread; contenders take turns, 64 of 1,024 configurations each, and each contender's median is told. Everyone
+has the same numbers of the same robot, and is held against Pinocchio in Python. Prints and writes
 `batch_eval/export_benchmark.json`.
 """
 
@@ -38,7 +38,7 @@ LIMITS = (  # with which the wheel of Pinocchio was built
 )
 BEST = ("-O3", "-march=native")  # what a generator's users are told to compile with
 ARGUMENTS = {"pose_and_jacobian": ["q"], "inverse_dynamics": ["q", "qdot", "qddot"], "clearance_to_spheres": ["q", "spheres"]}
-RESULTS = {"pose_and_jacobian": [16, 42], "inverse_dynamics": [7], "clearance_to_spheres": [1]}
+RESULTS = {"pose_and_jacobian": [16, 42], "inverse_dynamics": [7], "clearance_to_spheres": [1], "ik": [7]}
 
 
 class Contender(NamedTuple):
@@ -67,9 +67,13 @@ def ours(robots: dict[str, jaxik.Robot], folder: Path) -> list[Contender]:
     found = []
     for kind in ("float", "double"):
         for work, robot in robots.items():
+            if work == "ik" and kind == "float":
+                continue  # it is computed in float64 alone
             name = f"{kind}_{work}"
             made = export_robot(robot, [work], folder / name, name=name, double=kind == "double")
-            call = statement(f"{name}_{work}", kind, work, work == "clearance_to_spheres")
+            call = f"{name}_ik(d_pose + 16 * i, d_out, reason, d_out + 7, d_out + 8, d_out + 9, reason + 1);"
+            if work != "ik":
+                call = statement(f"{name}_{work}", kind, work, work == "clearance_to_spheres")
             (size,) = made.sizes.values()
             found.append(Contender("jaxik", work, kind, call, f'#include "{name}/{name}.h"', [f"{name}/lib{name}.a"], size))
     return found
@@ -207,8 +211,9 @@ HARNESS = """
 #define FLUSH(on) (void)0
 #endif
 @DECLARED@
-static double d_q[7 * @ROWS@], d_qdot[7 * @ROWS@], d_qddot[7 * @ROWS@], d_spheres[4 * 4096], d_out[64];
-static float f_q[7 * @ROWS@], f_qdot[7 * @ROWS@], f_qddot[7 * @ROWS@], f_spheres[4 * 4096], f_out[64];
+static int32_t reason[2];
+static double d_pose[16 * @ROWS@], d_q[7 * @ROWS@], d_qdot[7 * @ROWS@], d_qddot[7 * @ROWS@], d_spheres[4 * 4096], d_out[64];
+static float f_pose[16 * @ROWS@], f_q[7 * @ROWS@], f_qdot[7 * @ROWS@], f_qddot[7 * @ROWS@], f_spheres[4 * 4096], f_out[64];
 static const int32_t sphere_count = @SPHERES@;
 @CALLS@
 static void (*const calls[])(long) = {@NAMES@};
@@ -223,7 +228,7 @@ static void read(FILE *f, double *d, float *s, size_t n) {
 int main(int argc, char **argv) {
   FILE *f = fopen(argv[1], "rb");
   read(f, d_q, f_q, 7 * @ROWS@), read(f, d_qdot, f_qdot, 7 * @ROWS@), read(f, d_qddot, f_qddot, 7 * @ROWS@);
-  read(f, d_spheres, f_spheres, 4 * @SPHERES@);
+  read(f, d_pose, f_pose, 16 * @ROWS@), read(f, d_spheres, f_spheres, 4 * @SPHERES@);
   int rounds = atoi(argv[2]);
   for (int k = 0; k < COUNT; k++)
     for (long i = 0; i < @JUDGED@; i++) {
@@ -264,6 +269,13 @@ def truth(model: Any, frame: Any, robot: jaxik.Robot, inputs: list[np.ndarray], 
         itself = np.asarray(jax.jit(jax.vmap(lambda q: clearance(robot, None, q)))(q[:JUDGED]))[:, None]
     found = {"pose_and_jacobian": np.array(poses), "inverse_dynamics": np.array(torques)}
     return found | {"clearance_to_spheres": np.minimum(gaps, itself), "spheres alone": gaps}
+
+
+def pose_at(model: Any, q: np.ndarray) -> np.ndarray:
+    """The pose of the tip by Pinocchio."""
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    return data.oMf[model.getFrameId(TIP)].homogeneous
 
 
 def spheres_alone(model: Any, data: Any, capsules: list[Any], q: np.ndarray, spheres: np.ndarray) -> float:
@@ -329,21 +341,24 @@ def main() -> None:
     frame = model.frames[model.getFrameId(TIP)]
     rng = np.random.default_rng(0)
     inputs = [rng.uniform(bare.lower, bare.upper, (ROWS, 7)), *rng.normal(size=(2, ROWS, 7))]
-    spheres = surroundings(rng)
+    poses, spheres = np.array([pose_at(model, q) for q in inputs[0]]), surroundings(rng)
     functions = {
         "pose_and_jacobian": casadi_panda.pose_and_jacobian(model, frame),
         "inverse_dynamics": casadi_panda.inverse_dynamics(model),
         "clearance_to_spheres": casadi_panda.clearance_to_spheres(model, capsules_of(shaped), SPHERES),
     }
-    robots = {"pose_and_jacobian": bare, "inverse_dynamics": bare, "clearance_to_spheres": shaped}
+    robots = {"pose_and_jacobian": bare, "inverse_dynamics": bare, "clearance_to_spheres": shaped, "ik": bare}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         contenders = [*ours(robots, folder), *casadis(functions, folder), *pinocchios(model, frame, folder)]
-        found, times = run(contenders, inputs, spheres, folder, arguments.rounds)
+        found, times = run(contenders, [*inputs, poses], spheres, folder, arguments.rounds)
     right = truth(model, frame, shaped, inputs, spheres)
     rows = []
     for k, each in enumerate(contenders):
         (ns, p95), (flushing, _) = times[2 * k], times[2 * k + 1]
+        if each.work == "ik":  # judged by where its answers lead
+            found[k] = [pose_at(model, np.array(q)) for q in found[k]]
+            right["ik"] = poses[:JUDGED]
         alone = each.work == "clearance_to_spheres" and each.who != "jaxik"
         error = float(np.abs(np.array(found[k]) - right["spheres alone" if alone else each.work]).max())
         rows.append({"work": each.work, "who": each.who, "kind": each.kind, "ns": ns, "ns_p95": p95, "ns_flushing": flushing})
