@@ -25,8 +25,11 @@ for (const [name, [given, wanted]] of Object.entries(numbers)) {
 assert.throws(() => robot.robot_clearance({ q: [1, 2] }), /q has 2 numbers/);
 
 // the demo of the documentation: the frames of its answer end at the pose that was asked
-const demo = await import(pathToFileURL(`${folder}/../demo/arm.mjs`));
-const arm = await demo.load(await readFile(`${folder}/../demo/arm.wasm`));
+const arm = {};
+for (const name of ["arm_frames", "arm_ik"]) {
+  const demo = await import(pathToFileURL(`${folder}/../demo/${name}.mjs`));
+  Object.assign(arm, await demo.load(await readFile(`${folder}/../demo/${name}.wasm`)));
+}
 const pose = [1, 0, 0, 0.4, 0, -1, 0, 0.2, 0, 0, -1, 0.4, 0, 0, 0, 1];
 const { q, reason } = arm.arm_ik({ pose });
 const tip = arm.arm_frames({ q }).frames.slice(-16);

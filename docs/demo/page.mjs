@@ -3,8 +3,8 @@ const place = document.getElementById("arm-demo");
 const SLIDERS = { x: [-0.8, 0.8, 0.4], y: [-0.8, 0.8, 0.2], z: [0, 0.9, 0.4] };
 
 async function begin() {
-  const { load } = await import(new URL("./arm.mjs", import.meta.url));
-  const arm = await load();
+  const modules = await Promise.all(["arm_frames", "arm_ik"].map((name) => import(new URL(`./${name}.mjs`, import.meta.url))));
+  const arm = Object.assign({}, ...(await Promise.all(modules.map((each) => each.load()))));
   const canvas = place.appendChild(Object.assign(document.createElement("canvas"), { width: 640, height: 320 }));
   const told = place.appendChild(document.createElement("p"));
   const values = {};
