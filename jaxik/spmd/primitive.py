@@ -16,7 +16,8 @@ from jax.extend.core.primitives import stop_gradient_p
 from jax.interpreters import ad, batching, mlir
 
 from jaxik.spmd import call
-from jaxik.spmd.scalarise import RULES, Array, Scalariser, Unsupported, type_of
+from jaxik.spmd.by_xla import by_xla
+from jaxik.spmd.scalarise import RULES, Array, Scalariser, Unsupported, scalarised, type_of
 from jaxik.spmd.trace import Traced, is_float, is_smooth, on_one_device, replaced
 
 Masks = tuple[tuple[bool, ...], ...]  # for each operand, which axes of the batch it has
@@ -190,6 +191,16 @@ def _by_xla(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) ->
     return list(function(*args))
 
 
+def _in_lanes(args: Sequence[Any], traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
+    """The program by XLA on a CPU; as it was written where it has no such program."""
+    grid, operands, _ = _grid(args, traced, batch, masks)
+    try:
+        found = by_xla(scalarised(traced), operands, grid)
+    except Unsupported:
+        return _by_xla(*args, traced=traced, batch=batch, masks=masks)
+    return [x.reshape(*batch, *a.shape) for x, a in zip(found, traced.outputs, strict=True)]
+
+
 def _on_cpu(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
     outputs = traced.outputs
     sizes = [math.prod(a.shape) for a in outputs]
@@ -200,7 +211,7 @@ def _on_cpu(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) ->
         name = call.made(traced, shared).name
     except Unsupported as error:
         warn(traced, str(error))
-        return _by_xla(*args, traced=traced, batch=batch, masks=masks)
+        return _in_lanes(args, traced, batch, masks)
     shapes = [jax.ShapeDtypeStruct((*grid, n), a.dtype) for a, n in zip(outputs, sizes, strict=True)]
     rows = _side_by_side(traced, grid, operands)
     if rows is None:
