@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,10 +19,11 @@ import numpy as np
 from jax import lax
 
 from jaxik.spmd.liveness import Liveness
-from jaxik.spmd.program import DTYPES, FLOATS, Branch, Load, Loop, Memory, Program, Store, Unsupported, Whole
+from jaxik.spmd.program import DTYPES, FLOATS, TYPES, Branch, Load, Loop, Memory, Program, Store, Unsupported, Whole
 
 TOGETHER = 3000  # operations of one loop over the batch: LLVM's time grows faster than their number
-UNROLLED = 256  # operations up to which turns are joined, so that what a loop carries is read and written less often
+BLOCK = 2048  # lanes that go through a program together: what they have stays in the caches
+JOINED = 256  # operations up to which turns are joined, so that what a loop carries is read and written less often
 
 _NEAREST, _AWAY = lax.RoundingMethod.TO_NEAREST_EVEN, lax.RoundingMethod.AWAY_FROM_ZERO
 _OPERATIONS: dict[str, Callable[..., Any]] = {
@@ -44,42 +45,68 @@ class Value:
         self.code, self.kind, self.args, self.wide, self.array = code, kind, args, wide, array
 
 
+def _constant(kind: str, number: Any) -> Value:
+    return Value("const", kind, array=DTYPES[kind].type(number))
+
+
+def _given(kind: str, array: Any) -> Value:
+    return Value("array", kind, wide=np.ndim(array) > 0, array=array)
+
+
 def by_xla(program: Program, operands: Sequence[Any], grid: tuple[int, int]) -> list[Any]:
     """The results (outer, inner, size) of a program by ordinary operations. `operands` are (outer, inner, size), with 1 where
     lanes share them, in a grid of (outer, inner) lanes. Raises `Unsupported` for a team of lanes."""
     if program.team:
         raise Unsupported("a team of lanes, by XLA")
+    lanes = grid[0] * grid[1]
+    own = [x.shape[:2] != (1, 1) or (lanes == 1 and x.shape[2] <= 16) for x in operands]
+    shared = [None if each else x.reshape(-1, 1) for x, each in zip(operands, own, strict=True)]
+    rows = [jnp.broadcast_to(x, (*grid, x.shape[2])).reshape(lanes, -1) for x, each in zip(operands, own, strict=True) if each]
+    live = Liveness(program, [not each for each in own])
+    users = _users(program, live)
+
+    def block(rows: Sequence[Any]) -> list[Any]:
+        """The results of some lanes."""
+        mine = iter(rows)
+        columns = [next(mine).T if x is None else x for x in shared]
+        return _Lanes(program, live, users, columns, len(rows[0]) if rows else 1).results()
+
     with jax.enable_x64(True):  # the program says how wide each number is
-        return _Lanes(program, operands, grid).results()
+        many = -(-lanes // BLOCK) if rows else 1
+        if many == 1:
+            found = block(rows)
+        else:
+            size = -(-lanes // many)
+            blocks = lambda x: jnp.pad(x, ((0, size * many - lanes), (0, 0)), "edge").reshape(many, size, -1)
+            found = [x.reshape(size * many, -1)[:lanes] for x in lax.map(block, list(map(blocks, rows)))]
+        return [jnp.broadcast_to(x, (lanes, x.shape[1])).reshape(*grid, -1) for x in found]
 
 
 class _Lanes:
     """The lanes of a batch, all of which go through a block of operations together."""
 
-    def __init__(self, program: Program, operands: Sequence[Any], grid: tuple[int, int]):
-        self.program, self.grid, self.count = program, grid, grid[0] * grid[1]
-        own = [x.shape[:2] != (1, 1) or self.count == 1 and x.shape[2] <= 16 for x in operands]
-        self.live = Liveness(program, [not each for each in own])
-        self.users = _users(program, self.live)
-        self.operands = [self._columns(x) if each else x.reshape(-1, 1) for x, each in zip(operands, own, strict=True)]
+    def __init__(self, program: Program, live: Liveness, users: dict[int, set[int]], operands: Sequence[Any], count: int):
+        self.program, self.live, self.users, self.operands, self.count = program, live, users, operands, count
         self.memory: dict[int, Any] = {}  # scratch, (size, lanes)
+        self.rows: dict[int, dict[int, Value]] = {}  # what is known to lie there, by its place
         self.mask: Any = None  # the lanes that take part, where not all do
         self.env: dict[int, Value] = {}
         self.done: set[int] = set()
         self.waiting: list[Value] = []
-
-    def _columns(self, x: Any) -> Any:
-        """An operand's entries, each a row of all lanes."""
-        x = jnp.moveaxis(jnp.broadcast_to(x, (*self.grid, x.shape[2])), 2, 0)
-        return x.reshape(-1, self.count)
+        self.stores: list[tuple[Store, Any, Value]] = []  # that wait for these, with their places
 
     def results(self) -> list[Any]:
+        """The outputs, (lanes, size) each."""
         self._operations(self.program.top.body)
         self._flush()
-        found = []
-        for row in self.program.outputs:
-            rows = self.memory[row.memory.number] if isinstance(row, Whole) else jnp.stack([self._row(v) for v in row])
-            found.append(jnp.moveaxis(rows.reshape(-1, *self.grid), 0, 2))
+        each = lambda row: self.memory[row.memory.number] if isinstance(row, Whole) else self._stacked(list(map(self._row, row)))
+        return [each(row).T for row in self.program.outputs]
+
+    def _stacked(self, rows: Sequence[Any]) -> Any:
+        """The rows one below the other. Written one by one: XLA asks for each entry of a stack which row it is from."""
+        found = jnp.zeros((len(rows), self.count), rows[0].dtype) if rows else jnp.zeros((0, self.count))
+        for k, row in enumerate(rows):
+            found = lax.dynamic_update_index_in_dim(found, row, k, 0)
         return found
 
     # ----------------------------------------------------------------------------------------------------------------
@@ -87,7 +114,7 @@ class _Lanes:
 
     def _value(self, v: int) -> Value:
         if v in self.program.constant:
-            return Value("const", self.program.ops[v].type, array=self.program.constant[v])
+            return _constant(self.program.ops[v].type, self.program.constant[v])
         return self.env[v]
 
     def _array(self, v: int) -> Any:
@@ -101,12 +128,16 @@ class _Lanes:
         return jnp.broadcast_to(self._array(v), (self.count,))
 
     def _set(self, v: int, array: Any) -> None:
-        self.env[v] = Value("array", self.program.ops[v].type, wide=np.ndim(array) > 0, array=array)
+        self.env[v] = _given(self.program.ops[v].type, array)
 
     def _wait(self, v: int, code: str, args: Sequence[int]) -> None:
         """An operation on numbers, to be done with others; at once if it is an index that lanes have in common."""
         kind = self.program.ops[v].type
         values = tuple(map(self._value, args))
+        if all(value.code == "const" for value in values):
+            with jax.ensure_compile_time_eval():
+                self.env[v] = _constant(kind, _applied(code, kind, [value.array for value in values]))
+            return
         wide = any(value.wide for value in values)
         if not wide and kind not in FLOATS and all(value.array is not None for value in values):
             self._set(v, _applied(code, kind, [value.array for value in values]))
@@ -122,11 +153,15 @@ class _Lanes:
         waiting, self.waiting = self.waiting, []
         if waiting:
             asked = {id(x): x for v, x in self.env.items() if x.array is None and not self.users[v] <= self.done}
+            asked |= {id(x): x for _, _, x in self.stores if x.array is None}
             shared = [x for x in waiting if not x.wide]
             used = {id(a): a for x in waiting if x.wide for a in x.args if not a.wide and a.array is None}
             _windows(shared, [x for k, x in (asked | used).items() if not x.wide], 1)
             _windows([x for x in waiting if x.wide], [x for x in asked.values() if x.wide], self.count)
             self.env = {v: x for v, x in self.env.items() if x.array is not None}
+        stores, self.stores = self.stores, []
+        for memory, group in itertools.groupby(stores, lambda each: each[0].memory):
+            self._written(memory, list(group))
 
     # ----------------------------------------------------------------------------------------------------------------
     # Operations
@@ -140,9 +175,9 @@ class _Lanes:
     def _operation(self, v: int) -> None:
         op = self.program.ops[v]
         if op.code == "load":
-            self._set(v, self._read(op.args))
+            self.env[v] = self._read(op.args)
         elif op.code == "store":
-            self._write(op.args)
+            self._store(op.args, self._place(op.args), self._value(op.args.value))
         elif op.code == "loop":
             self._loop(v, op.args)
         elif op.code == "branch":
@@ -161,26 +196,52 @@ class _Lanes:
         return self.memory[memory.number]
 
     def _place(self, address: Load | Store) -> Any:
-        return address.offset if address.at is None else self._array(address.at).astype(np.int32) + np.int32(address.offset)
+        if address.at is None:
+            return address.offset
+        index = self._array(address.at)
+        known = self._value(address.at).code == "const"
+        return int(index) + address.offset if known else index.astype(np.int32) + np.int32(address.offset)
 
-    def _read(self, load: Load) -> Any:
-        place, numbers = self._place(load), self._numbers(load.memory)
+    def _read(self, load: Load) -> Value:
+        place, memory = self._place(load), load.memory
+        known = self.rows.get(memory.number, {}).get(place) if memory.kind == "scratch" and isinstance(place, int) else None
+        if known is not None:
+            return known
+        if memory.kind == "constant" and isinstance(place, int):
+            return _constant(memory.type, self.program.tables[memory.number].ravel()[place])
+        if any(store.memory == memory for store, *_ in self.stores):
+            self._flush()
+        numbers = jnp.asarray(self._numbers(memory))
         if np.ndim(place):
-            return jnp.asarray(numbers).at[place, *self._lanes(numbers)].get(mode="clip")
-        if isinstance(place, int):
-            row = numbers[place]
-        else:
-            row = lax.dynamic_index_in_dim(jnp.asarray(numbers), place, keepdims=False)
-        return row[0] if numbers.shape[1] == 1 and not self.live.is_own(load) and load.memory.kind != "scratch" else row
+            return _given(memory.type, numbers.at[place, *self._lanes(numbers)].get(mode="clip"))
+        row = numbers[place] if isinstance(place, int) else lax.dynamic_index_in_dim(numbers, place, keepdims=False)
+        return _given(memory.type, row if memory.kind == "scratch" or self.live.is_own(load) else row[0])
 
     def _lanes(self, numbers: Any) -> list[Any]:
         return [np.arange(self.count, dtype=np.int32) if numbers.shape[1] > 1 else 0]
 
-    def _write(self, store: Store) -> None:
-        place, numbers, new = self._place(store), self._numbers(store.memory), self._row(store.value)
+    def _store(self, store: Store, place: Any, value: Value) -> None:
+        """Notes what is to be written: a row of which the place is known is read without."""
+        rows = self.rows.setdefault(store.memory.number, {})
+        if isinstance(place, int) and (self.mask is None or not store.kept):
+            rows[place] = value
+        else:
+            rows.clear()
+        self.stores.append((store, place, value))
+
+    def _written(self, memory: Memory, stores: Sequence[tuple[Store, Any, Value]]) -> None:
+        """Does what has waited to be written to a memory; all of it at once where it is all of the memory."""
+        row = lambda value: jnp.broadcast_to(value.array, (self.count,))
+        if [place for _, place, _ in stores] == list(range(memory.size)) and self.mask is None:
+            self.memory[memory.number] = self._stacked([row(value) for *_, value in stores])
+            return
+        for store, place, value in stores:
+            self._write(store, place, row(value))
+
+    def _write(self, store: Store, place: Any, new: Any) -> None:
+        numbers = self._numbers(store.memory)
         if store.kept and self.mask is not None:
-            old = numbers.at[place, *self._lanes(numbers)].get(mode="clip") if np.ndim(place) else numbers[place]
-            new = jnp.where(self.mask, new, old)
+            new = jnp.where(self.mask, new, jnp.asarray(numbers).at[place, *self._lanes(numbers)].get(mode="clip"))
         if np.ndim(place):
             numbers = numbers.at[place, *self._lanes(numbers)].set(new, mode="clip")
         else:
@@ -195,12 +256,12 @@ class _Lanes:
         other = object.__new__(_Lanes)
         other.__dict__ |= self.__dict__
         other.env, other.memory, other.mask = {**self.env, **env}, dict(memory), mask
-        other.done, other.waiting = set(), []
+        other.done, other.waiting, other.stores = set(), [], []
+        other.rows = {}
         return other
 
-    def _given(self, values: Sequence[int], arrays: Sequence[Any]) -> dict[int, Value]:
-        kind = lambda v: self.program.ops[v].type
-        return {v: Value("array", kind(v), wide=np.ndim(x) > 0, array=x) for v, x in zip(values, arrays, strict=True)}
+    def _bound(self, values: Sequence[int], arrays: Sequence[Any]) -> dict[int, Value]:
+        return {v: _given(self.program.ops[v].type, x) for v, x in zip(values, arrays, strict=True)}
 
     def _as(self, v: int, like: int) -> Any:
         """The numbers of a value as those of another: of each lane, or one that they have in common."""
@@ -208,52 +269,77 @@ class _Lanes:
 
     def _scratch(self, *bodies: Sequence[int]) -> dict[int, Any]:
         """The memory that bodies write to."""
-        written = {op.args.memory.number: op.args.memory for op in self._all(bodies) if op.code == "store"}
-        return {number: self._numbers(memory) for number, memory in sorted(written.items())}
+        written = (op.args.memory for op in map(self.program.ops.__getitem__, self._all(bodies)) if op.code == "store")
+        return {memory.number: self._numbers(memory) for memory in written}
 
-    def _all(self, bodies: Sequence[Sequence[int]]) -> list[Any]:
+    def _all(self, bodies: Sequence[Sequence[int]]) -> list[int]:
         """The needed operations of bodies and of those inside."""
         found = []
         for v in (v for body in bodies for v in body if v in self.live.needed):
             op = self.program.ops[v]
-            found.append(op)
-            if op.code in ("loop", "branch"):
-                found += self._all(op.args.bodies)
+            found += [v, *(self._all(op.args.bodies) if op.code in ("loop", "branch") else ())]
         return found
 
+    def _has(self, bodies: Sequence[Sequence[int]], *codes: str) -> bool:
+        return any(self.program.ops[v].code in codes for v in self._all(bodies))
+
+    def _after(self, memory: dict[int, Any]) -> None:
+        """Takes over what a block has written."""
+        self.memory |= memory
+        for number in memory:
+            self.rows.pop(number, None)
+
     def _loop(self, v: int, loop: Loop) -> None:
-        self._flush()
         carried = [i for i, p in enumerate(loop.params) if p in self.live.needed]
         params, results = [loop.params[i] for i in carried], [loop.results[i] for i in carried]
-        first = [self._as(loop.init[i], p) for i, p in zip(carried, params, strict=True)]
-        run = self._counted if loop.test is None else self._while
-        ends, memory = run(loop, params, results, first, self._scratch(*loop.bodies))
-        self.memory |= memory
+        ends: list[Value]
+        if loop.turns is not None and self._is_short(loop):
+            ends = self._written_out(loop, params, results, [self._value(loop.init[i]) for i in carried])
+        else:
+            self._flush()
+            first = [self._as(loop.init[i], p) for i, p in zip(carried, params, strict=True)]
+            run = self._counted if loop.test is None else self._while
+            arrays, memory = run(loop, params, results, first, self._scratch(*loop.bodies))
+            self._after(memory)
+            ends = list(self._bound(params, arrays).values())
         for i, x in zip(carried, ends, strict=True):
             if i in self.live.results.get(v, ()):
-                self._set(self.live.result(v, i), x)
+                self.env[self.live.result(v, i)] = x
+
+    def _is_short(self, loop: Loop) -> bool:
+        return (loop.turns or 0) * len(self._all([loop.body])) <= TOGETHER and not self._has([loop.body], "loop")
+
+    def _written_out(self, loop: Loop, params: list[int], results: list[int], now: list[Value]) -> list[Value]:
+        """A short loop's turns, one after the other."""
+        inside = {*self._all([loop.body]), *params, *loop.turn}
+        for turn in range(loop.turns or 0):
+            self.env = {v: x for v, x in self.env.items() if v not in inside} | dict(zip(params, now, strict=True))
+            self.env |= {v: _constant(self.program.ops[v].type, turn) for v in loop.turn}
+            self.done -= inside
+            self._operations(loop.body)
+            now = [self._value(r) for r in results]
+        return now
 
     def _counted(self, loop: Loop, params: list[int], results: list[int], first: list[Any], memory: dict[int, Any]) -> Any:
         """A loop of so many turns, of which a few are one."""
         assert loop.turns is not None
-        ops = self._all([loop.body])
-        plain = not any(op.code in ("loop", "store") for op in ops)
-        joined = max(1, min(UNROLLED // max(len(ops), 1), loop.turns)) if plain else 1
+        joined = 1 if self._has([loop.body], "loop") else max(1, min(JOINED // len(self._all([loop.body])), loop.turns))
         while loop.turns % joined:
             joined -= 1
 
         def turns(k: Any, state: Any) -> Any:
             now, memory = state
-            lanes = self._inside(self._given(params, now), self.memory | memory, self.mask)
+            lanes = self._inside(self._bound(params, now), self.memory | memory, self.mask)
             for step in range(joined):
                 values = [lanes._value(p) for p in params]
                 lanes.env = self.env | dict(zip(params, values, strict=True))
-                lanes.env |= self._given(loop.turn, [np.int32(joined) * k + np.int32(step)])
+                lanes.env |= self._bound(loop.turn, [np.int32(joined) * k + np.int32(step)])
                 lanes.done = set()
                 lanes._operations(loop.body)
                 after = [lanes._value(r) for r in results]
                 lanes.env |= dict(zip(params, after, strict=True))
             lanes.env, lanes.done = self.env | dict(zip(params, after, strict=True)), set()
+            lanes._flush()
             return [lanes._as(p, p) for p in params], {n: lanes.memory[n] for n in memory}
 
         return lax.fori_loop(np.int32(0), np.int32(loop.turns // joined), turns, (first, memory))
@@ -267,14 +353,16 @@ class _Lanes:
 
         def tested(state: Any) -> tuple[_Lanes, Any]:
             now, memory, active = state
-            lanes = self._inside(self._given(params, now), self.memory | memory, active if wide else self.mask)
+            lanes = self._inside(self._bound(params, now), self.memory | memory, active if wide else self.mask)
             lanes._operations(before)
+            lanes._flush()
             return lanes, (active & lanes._row(holds) if wide else jnp.asarray(lanes._array(holds)))
 
         def turn(state: Any) -> Any:
             (now, memory, active), (lanes, running) = state, tested(state)
             lanes.mask = running if wide else self.mask
             lanes._operations(loop.body)
+            lanes._flush()
             after = [lanes._as(r, p) for r, p in zip(results, params, strict=True)]
             if wide:
                 after = [jnp.where(running, x, old) for x, old in zip(after, now, strict=True)]
@@ -286,7 +374,12 @@ class _Lanes:
     def _branch(self, v: int, branch: Branch) -> None:
         needed = sorted(self.live.results.get(v, ()))
         gives = [(self.live.result(v, i), branch.yes_values[i], branch.no_values[i]) for i in needed]
-        if not any(op.code in ("loop", "store") for op in self._all(branch.bodies)):
+        known = self._value(branch.condition)
+        if known.code == "const":
+            self._operations(branch.yes if known.array else branch.no)
+            self.env |= {result: self._value(yes if known.array else no) for result, yes, no in gives}
+            return
+        if not self._has(branch.bodies, "loop", "store"):
             self._operations(branch.yes)
             self._operations(branch.no)
             for result, yes, no in gives:
@@ -300,6 +393,7 @@ class _Lanes:
                 mask = self.mask if not wide else taken if self.mask is None else taken & self.mask
                 lanes = self._inside({}, self.memory | memory, mask)
                 lanes._operations(body)
+                lanes._flush()
                 like = [lanes._as(x, result) for x, (result, *_) in zip(values, gives, strict=True)]
                 return like, {n: lanes.memory[n] for n in memory}
 
@@ -311,7 +405,7 @@ class _Lanes:
             found, memory = lax.cond(condition, yes, no, memory)
         else:
             found, memory = self._both(condition, yes, no, memory)
-        self.memory |= memory
+        self._after(memory)
         for (result, *_), x in zip(gives, found, strict=True):
             self._set(result, x)
 
@@ -344,6 +438,8 @@ def _users(program: Program, live: Liveness) -> dict[int, set[int]]:
             asks(v, [args.at, args.value])
         elif code == "loop":
             asks(v, [*args.init, *args.results, args.test[1] if args.test else None])
+            for i in live.results.get(v, ()):
+                asks(live.result(v, i), [args.params[i]])
         elif code == "branch":
             asks(v, [args.condition])
             for i in live.results.get(v, ()):
@@ -368,39 +464,53 @@ def _applied(code: str, kind: str, args: Sequence[Any]) -> Any:
     return _OPERATIONS[code](*args)
 
 
+class _Slot(NamedTuple):
+    """One of the arguments and results of a window, all of one type, each of which may be missing: a number that all lanes have
+    in common, one of each lane, and what becomes of them."""
+
+    common: Value | None
+    own: Value | None
+    gives: Value | None
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        return DTYPES[next(x.kind for x in self if x is not None)]
+
+
 def _windows(waiting: Sequence[Value], kept: Sequence[Value], lanes: int) -> None:
     """Gives those values that are `kept` their arrays, of so many lanes; `waiting` are all that they may be made of, in order."""
     if not kept:
         return
     needed = _needed(kept)
     chain = [x for x in waiting if id(x) in needed]
-    inputs = list({id(a): a for x in chain for a in x.args if a.code != "const" and id(a) not in needed}.values())
-    slots = _slots(inputs, kept)
+    inputs = {id(a): a for x in chain for a in x.args if a.code != "const" and id(a) not in needed}
+    slots = _slots(list(inputs.values()), kept)
 
-    def together(_: Any, numbers: Sequence[Any]) -> tuple[Any, ...]:
-        found = {id(given): x for (given, _), x in zip(slots, numbers, strict=True) if given is not None}
+    def together(common: Sequence[Any], own: Sequence[Any]) -> list[Any]:
+        """The numbers of one lane. A window's first argument is what its numbers are joined to, here what lanes share."""
+        found = {id(slot.common): x for slot, x in zip(slots, common, strict=True)}
+        found |= {id(slot.own): x for slot, x in zip(slots, own, strict=True)}
         of = lambda a: a.array if a.code == "const" else found[id(a)]
         for x in chain:
             found[id(x)] = _applied(x.code, x.kind, list(map(of, x.args)))
-        return tuple(np.zeros((), x.dtype) if gives is None else found[id(gives)] for (_, gives), x in zip(slots, numbers, strict=True))
+        return [found[id(slot.gives)] if slot.gives else np.zeros((), slot.dtype) for slot in slots]
 
-    rows = {x.kind: jnp.broadcast_to(x.array, (lanes,)) for x in inputs}  # what only gives takes one that is there
-    of = lambda x, kind: jnp.broadcast_to(x.array, (lanes,)) if x else rows.get(kind, jnp.zeros(lanes, DTYPES[kind]))
-    operands = tuple(of(given, (given or gives).kind) for given, gives in slots)
-    zeros = tuple(np.zeros((), x.dtype) for x in operands)
-    found = lax.reduce_window(operands, zeros, together, (1,), (1,), "VALID")
-    for (_, gives), x in zip(slots, found, strict=True):
-        if gives is not None:
-            gives.array = x if gives.wide else x[0]
+    rows = {x.kind: x.array for x in inputs.values() if x.wide}  # where none is asked for, one that is there
+    row = lambda slot: slot.own.array if slot.own else rows.get(TYPES[slot.dtype], jnp.zeros(lanes, slot.dtype))
+    common = [slot.common.array if slot.common else np.zeros((), slot.dtype) for slot in slots]
+    found = lax.reduce_window(tuple(map(row, slots)), tuple(common), lambda *x: tuple(together(*x)), (1,), (1,), "VALID")
+    for slot, x in zip(slots, found, strict=True):
+        if slot.gives is not None:
+            slot.gives.array = x if slot.gives.wide else x[0]
 
 
-def _slots(inputs: Sequence[Value], outputs: Sequence[Value]) -> list[tuple[Value | None, Value | None]]:
-    """Pairs of an input and an output of one type, either of which may be missing; two at least, as XLA takes a window of one
-    number for nothing at all."""
-    slots: list[tuple[Value | None, Value | None]] = []
+def _slots(inputs: Sequence[Value], outputs: Sequence[Value]) -> list[_Slot]:
+    """The slots of a window; two at least, as XLA takes a window of one number for nothing at all."""
+    slots: list[_Slot] = []
     for kind in dict.fromkeys(x.kind for x in (*inputs, *outputs)):
-        pair = [[x for x in each if x.kind == kind] for each in (inputs, outputs)]
-        slots += itertools.zip_longest(*pair)
+        alike = lambda values, kind=kind: [x for x in values if x.kind == kind]
+        columns = [x for x in inputs if not x.wide], [x for x in inputs if x.wide], outputs
+        slots += itertools.starmap(_Slot, itertools.zip_longest(*map(alike, columns)))
     return slots if len(slots) > 1 else slots * 2
 
 
