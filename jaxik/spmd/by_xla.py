@@ -22,7 +22,7 @@ from jaxik.spmd.liveness import Liveness
 from jaxik.spmd.program import DTYPES, FLOATS, TYPES, Branch, Load, Loop, Memory, Program, Store, Unsupported, Whole
 
 TOGETHER = 3000  # operations of one loop over the batch: LLVM's time grows faster than their number
-BLOCK = 2048  # lanes that go through a program together: what they have stays in the caches
+BLOCK = 4096  # lanes that go through a program together: what they have stays in the caches
 JOINED = 256  # operations up to which turns are joined, so that what a loop carries is read and written less often
 
 _NEAREST, _AWAY = lax.RoundingMethod.TO_NEAREST_EVEN, lax.RoundingMethod.AWAY_FROM_ZERO
@@ -492,7 +492,10 @@ def _windows(waiting: Sequence[Value], kept: Sequence[Value], lanes: int) -> Non
         found |= {id(slot.own): x for slot, x in zip(slots, own, strict=True)}
         of = lambda a: a.array if a.code == "const" else found[id(a)]
         for x in chain:
-            found[id(x)] = _applied(x.code, x.kind, list(map(of, x.args)))
+            args = list(map(of, x.args))
+            if _by_constant(x) and any(map(_by_constant, x.args)):
+                args = lax.optimization_barrier(args)
+            found[id(x)] = _applied(x.code, x.kind, args)
         return [found[id(slot.gives)] if slot.gives else np.zeros((), slot.dtype) for slot in slots]
 
     rows = {x.kind: x.array for x in inputs.values() if x.wide}  # where none is asked for, one that is there
@@ -512,6 +515,12 @@ def _slots(inputs: Sequence[Value], outputs: Sequence[Value]) -> list[_Slot]:
         columns = [x for x in inputs if not x.wide], [x for x in inputs if x.wide], outputs
         slots += itertools.starmap(_Slot, itertools.zip_longest(*map(alike, columns)))
     return slots if len(slots) > 1 else slots * 2
+
+
+def _by_constant(x: Value) -> bool:
+    """Whether it is a float and a constant, added or multiplied: of two of these in a row XLA makes one, and so 0 of what
+    (1 + x) - 1 - x is to say."""
+    return x.code in ("add", "sub", "mul") and x.kind in FLOATS and any(a.code == "const" for a in x.args)
 
 
 def _needed(kept: Sequence[Value]) -> set[int]:
