@@ -20,6 +20,7 @@ import numpy as np
 
 from jaxik.garbage import uncollected
 from jaxik.spmd import call
+from jaxik.spmd.primitive import rows_by_xla
 from jaxik.spmd.program import Unsupported
 from jaxik.spmd.threads import CHUNK, DONE, FIRST, INNER, NEXT, TOTAL, VECTORS
 from jaxik.spmd.trace import trace
@@ -132,11 +133,7 @@ class HostKernel:
     @functools.cached_property
     def by_xla(self) -> Callable[..., Any]:
         """The same as a compiled program of JAX."""
-
-        def batch(*args: Any) -> Any:
-            return jax.vmap(self.function, tuple(0 if k < self.lanes else None for k in range(len(args))))(*args)
-
-        return jax.jit(batch)
+        return jax.jit(functools.partial(rows_by_xla, self.function, self.lanes))
 
     @uncollected()
     def _made(
