@@ -1,4 +1,4 @@
-"""The path that each function takes, and what it costs without kernels: `python batch_eval/xla_benchmark.py` writes `xla_benchmark.json`.
+"""The path that each function takes, and its cost without kernels: `python batch_eval/xla_benchmark.py` writes a JSON.
 
 Every function of arms of six, seven and nine joints, in batches, by its kernel and by XLA alone on the same CPU, in which
 llvmlite counts as not installed. Each pair runs in a process of its own, in turns; what takes longer than `--limit` seconds is

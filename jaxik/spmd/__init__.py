@@ -10,7 +10,8 @@ It knows no robot. In the order in which a function passes through: `trace` (to 
 needed and what varies by `liveness`, names, loads and stores by `memory`, instructions by `arithmetic`, all written as `text`),
 `handler` (what XLA calls) and `threads`, `machine` (machine code), `call` (kept in memory and on disk), `primitive` (batches,
 derivatives where `tangents` are linear, lowering). A later process needs no trace where `trace_records` know a function by its
-`content`. `host` calls a kernel on NumPy arrays, `control_loop` one with a state,
+`content`. Without llvmlite a CPU gets the program `by_xla`, in `windows` over
+the batch. `host` calls a kernel on NumPy arrays, `control_loop` one with a state,
 sample by sample; `describe` says what was made of a function. `docs/kernels.md` tells it from the beginning.
 """
 

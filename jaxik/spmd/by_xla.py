@@ -1,56 +1,28 @@
 """A program by XLA on a CPU, as quick as XLA's CPU backend can be made to run it.
 
-That backend gives each result of a row of operations a loop of its own, and computes in it again whatever several results
-share: of a mass matrix thousands of times as much as is needed. But the function that a `reduce_window` joins numbers by is
-compiled once, as it stands, and may have many arguments and results. So operations are collected until something comes that is
-none on single numbers (a loop, a read at a computed index), and all of them become such a function, over windows of one lane:
-one loop of LLVM's over the batch, which has each operation once. Loops turn around the whole batch.
+Operations are collected until something comes that is none on single numbers (a loop, a read at a computed index), and all of
+them become one loop over the batch (`windows`). The program's own loops turn around blocks of the batch, and a branch is run if
+some lane takes it.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxik.spmd.liveness import Liveness
-from jaxik.spmd.program import DTYPES, FLOATS, TYPES, Branch, Load, Loop, Memory, Program, Store, Unsupported, Whole
+from jaxik.spmd.liveness import Liveness, users_of
+from jaxik.spmd.program import DTYPES, FLOATS, Branch, Load, Loop, Memory, Program, Store, Unsupported, Whole
+from jaxik.spmd.windows import Value, applied, compute, constant, given
 
 TOGETHER = 3000  # operations of one loop over the batch: LLVM's time grows faster than their number
 BLOCK = 4096  # lanes that go through a program together: what they have stays in the caches
 JOINED = 256  # operations up to which turns are joined, so that what a loop carries is read and written less often
-
-_NEAREST, _AWAY = lax.RoundingMethod.TO_NEAREST_EVEN, lax.RoundingMethod.AWAY_FROM_ZERO
-_OPERATIONS: dict[str, Callable[..., Any]] = {
-    **{"add": lax.add, "sub": lax.sub, "mul": lax.mul, "fdiv": lax.div, "idiv": lax.div, "frem": lax.rem, "irem": lax.rem},
-    **{"eq": lax.eq, "ne": lax.ne, "lt": lax.lt, "le": lax.le, "gt": lax.gt, "ge": lax.ge, "select": lax.select},
-    **{"neg": lax.neg, "abs": lax.abs, "max": lax.max, "min": lax.min, "sqrt": lax.sqrt, "floor": lax.floor, "ceil": lax.ceil},
-    **{"and": lax.bitwise_and, "or": lax.bitwise_or, "xor": lax.bitwise_xor, "not": lax.bitwise_not},
-    **{"shl": lax.shift_left, "lshr": lax.shift_right_logical, "ashr": lax.shift_right_arithmetic, "trunc": jnp.trunc},
-    **{"rint": lambda x: lax.round(x, _NEAREST), "round": lambda x: lax.round(x, _AWAY)},
-    **{"libm_sin": lax.sin, "libm_cos": lax.cos, "libm_tan": lax.tan, "libm_pow": lax.pow},
-}
-_TYPED: dict[str, Callable[..., Any]] = {"convert": lax.convert_element_type, "bitcast": lax.bitcast_convert_type}
-
-
-class Value:
-    """A number of each lane, or one that all have in common: an operation that waits for others, or an `array` of them."""
-
-    def __init__(self, code: str, kind: str, args: tuple[Any, ...] = (), wide: bool = False, array: Any = None):
-        self.code, self.kind, self.args, self.wide, self.array = code, kind, args, wide, array
-
-
-def _constant(kind: str, number: Any) -> Value:
-    return Value("const", kind, array=DTYPES[kind].type(number))
-
-
-def _given(kind: str, array: Any) -> Value:
-    return Value("array", kind, wide=np.ndim(array) > 0, array=array)
 
 
 def by_xla(program: Program, operands: Sequence[Any], grid: tuple[int, int]) -> list[Any]:
@@ -63,7 +35,7 @@ def by_xla(program: Program, operands: Sequence[Any], grid: tuple[int, int]) -> 
     shared = [None if each else x.reshape(-1, 1) for x, each in zip(operands, own, strict=True)]
     rows = [jnp.broadcast_to(x, (*grid, x.shape[2])).reshape(lanes, -1) for x, each in zip(operands, own, strict=True) if each]
     live = Liveness(program, [not each for each in own])
-    users = _users(program, live)
+    users = users_of(program, live)
 
     def block(rows: Sequence[Any]) -> list[Any]:
         """The results of some lanes."""
@@ -99,7 +71,9 @@ class _Lanes:
         """The outputs, (lanes, size) each."""
         self._operations(self.program.top.body)
         self._flush()
-        each = lambda row: self.memory[row.memory.number] if isinstance(row, Whole) else self._stacked(list(map(self._row, row)))
+        each = lambda row: (
+            self.memory[row.memory.number] if isinstance(row, Whole) else self._stacked(list(map(self._row, row)))
+        )
         return [each(row).T for row in self.program.outputs]
 
     def _stacked(self, rows: Sequence[Any]) -> Any:
@@ -114,7 +88,7 @@ class _Lanes:
 
     def _value(self, v: int) -> Value:
         if v in self.program.constant:
-            return _constant(self.program.ops[v].type, self.program.constant[v])
+            return constant(self.program.ops[v].type, self.program.constant[v])
         return self.env[v]
 
     def _array(self, v: int) -> Any:
@@ -128,7 +102,7 @@ class _Lanes:
         return jnp.broadcast_to(self._array(v), (self.count,))
 
     def _set(self, v: int, array: Any) -> None:
-        self.env[v] = _given(self.program.ops[v].type, array)
+        self.env[v] = given(self.program.ops[v].type, array)
 
     def _wait(self, v: int, code: str, args: Sequence[int]) -> None:
         """An operation on numbers, to be done with others; at once if it is an index that lanes have in common."""
@@ -136,11 +110,11 @@ class _Lanes:
         values = tuple(map(self._value, args))
         if all(value.code == "const" for value in values):
             with jax.ensure_compile_time_eval():
-                self.env[v] = _constant(kind, _applied(code, kind, [value.array for value in values]))
+                self.env[v] = constant(kind, applied(code, kind, [value.array for value in values]))
             return
         wide = any(value.wide for value in values)
         if not wide and kind not in FLOATS and all(value.array is not None for value in values):
-            self._set(v, _applied(code, kind, [value.array for value in values]))
+            self._set(v, applied(code, kind, [value.array for value in values]))
             return
         self.env[v] = Value(code, kind, values, wide)
         self.waiting.append(self.env[v])
@@ -156,8 +130,8 @@ class _Lanes:
             asked |= {id(x): x for _, _, x in self.stores if x.array is None}
             shared = [x for x in waiting if not x.wide]
             used = {id(a): a for x in waiting if x.wide for a in x.args if not a.wide and a.array is None}
-            _windows(shared, [x for k, x in (asked | used).items() if not x.wide], 1)
-            _windows([x for x in waiting if x.wide], [x for x in asked.values() if x.wide], self.count)
+            compute(shared, [x for k, x in (asked | used).items() if not x.wide], 1)
+            compute([x for x in waiting if x.wide], [x for x in asked.values() if x.wide], self.count)
             self.env = {v: x for v, x in self.env.items() if x.array is not None}
         stores, self.stores = self.stores, []
         for memory, group in itertools.groupby(stores, lambda each: each[0].memory):
@@ -208,14 +182,14 @@ class _Lanes:
         if known is not None:
             return known
         if memory.kind == "constant" and isinstance(place, int):
-            return _constant(memory.type, self.program.tables[memory.number].ravel()[place])
+            return constant(memory.type, self.program.tables[memory.number].ravel()[place])
         if any(store.memory == memory for store, *_ in self.stores):
             self._flush()
         numbers = jnp.asarray(self._numbers(memory))
         if np.ndim(place):
-            return _given(memory.type, numbers.at[place, *self._lanes(numbers)].get(mode="clip"))
+            return given(memory.type, numbers.at[place, *self._lanes(numbers)].get(mode="clip"))
         row = numbers[place] if isinstance(place, int) else lax.dynamic_index_in_dim(numbers, place, keepdims=False)
-        return _given(memory.type, row if memory.kind == "scratch" or self.live.is_own(load) else row[0])
+        return given(memory.type, row if memory.kind == "scratch" or self.live.is_own(load) else row[0])
 
     def _lanes(self, numbers: Any) -> list[Any]:
         return [np.arange(self.count, dtype=np.int32) if numbers.shape[1] > 1 else 0]
@@ -261,7 +235,7 @@ class _Lanes:
         return other
 
     def _bound(self, values: Sequence[int], arrays: Sequence[Any]) -> dict[int, Value]:
-        return {v: _given(self.program.ops[v].type, x) for v, x in zip(values, arrays, strict=True)}
+        return {v: given(self.program.ops[v].type, x) for v, x in zip(values, arrays, strict=True)}
 
     def _as(self, v: int, like: int) -> Any:
         """The numbers of a value as those of another: of each lane, or one that they have in common."""
@@ -314,7 +288,7 @@ class _Lanes:
         inside = {*self._all([loop.body]), *params, *loop.turn}
         for turn in range(loop.turns or 0):
             self.env = {v: x for v, x in self.env.items() if v not in inside} | dict(zip(params, now, strict=True))
-            self.env |= {v: _constant(self.program.ops[v].type, turn) for v in loop.turn}
+            self.env |= {v: constant(self.program.ops[v].type, turn) for v in loop.turn}
             self.done -= inside
             self._operations(loop.body)
             now = [self._value(r) for r in results]
@@ -386,7 +360,11 @@ class _Lanes:
                 self._wait(result, "select", (branch.condition, yes, no))
             return
         self._flush()
-        condition, wide, memory = self._array(branch.condition), branch.condition in self.live.varying, self._scratch(*branch.bodies)
+        condition, wide, memory = (
+            self._array(branch.condition),
+            branch.condition in self.live.varying,
+            self._scratch(*branch.bodies),
+        )
 
         def side(body: Sequence[int], values: Sequence[int], taken: Any) -> Any:
             def run(memory: dict[int, Any]) -> Any:
@@ -419,116 +397,3 @@ class _Lanes:
             found, memory = lax.cond(jnp.any(asks), side, nothing, memory)
             taken.append(found)
         return [jnp.where(condition, a, b) for a, b in zip(*taken, strict=True)], memory
-
-
-def _users(program: Program, live: Liveness) -> dict[int, set[int]]:
-    """The operations that ask for each value; -1 are the program's outputs."""
-    users: dict[int, set[int]] = {v: set() for v in range(len(program.ops))}
-
-    def asks(user: int, values: Sequence[int | None]) -> None:
-        for x in values:
-            if x is not None:
-                users[x].add(user)
-
-    for v in live.needed:
-        code, _, args = program.ops[v]
-        if code == "load":
-            asks(v, [args.at])
-        elif code == "store":
-            asks(v, [args.at, args.value])
-        elif code == "loop":
-            asks(v, [*args.init, *args.results, args.test[1] if args.test else None])
-            for i in live.results.get(v, ()):
-                asks(live.result(v, i), [args.params[i]])
-        elif code == "branch":
-            asks(v, [args.condition])
-            for i in live.results.get(v, ()):
-                asks(live.result(v, i), [args.condition, args.yes_values[i], args.no_values[i]])
-        elif code not in ("const", "param", "result"):
-            asks(v, args)
-    for row in program.outputs:
-        asks(-1, [] if isinstance(row, Whole) else row)
-    return users
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# Windows of one lane
-
-
-def _applied(code: str, kind: str, args: Sequence[Any]) -> Any:
-    """The operation on numbers, or on arrays of one shape."""
-    if code in _TYPED:
-        return _TYPED[code](args[0], DTYPES[kind])
-    if code not in _OPERATIONS:
-        raise Unsupported(f"the operation '{code}', by XLA")
-    return _OPERATIONS[code](*args)
-
-
-class _Slot(NamedTuple):
-    """One of the arguments and results of a window, all of one type, each of which may be missing: a number that all lanes have
-    in common, one of each lane, and what becomes of them."""
-
-    common: Value | None
-    own: Value | None
-    gives: Value | None
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        return DTYPES[next(x.kind for x in self if x is not None)]
-
-
-def _windows(waiting: Sequence[Value], kept: Sequence[Value], lanes: int) -> None:
-    """Gives those values that are `kept` their arrays, of so many lanes; `waiting` are all that they may be made of, in order."""
-    if not kept:
-        return
-    needed = _needed(kept)
-    chain = [x for x in waiting if id(x) in needed]
-    inputs = {id(a): a for x in chain for a in x.args if a.code != "const" and id(a) not in needed}
-    slots = _slots(list(inputs.values()), kept)
-
-    def together(common: Sequence[Any], own: Sequence[Any]) -> list[Any]:
-        """The numbers of one lane. A window's first argument is what its numbers are joined to, here what lanes share."""
-        found = {id(slot.common): x for slot, x in zip(slots, common, strict=True)}
-        found |= {id(slot.own): x for slot, x in zip(slots, own, strict=True)}
-        of = lambda a: a.array if a.code == "const" else found[id(a)]
-        for x in chain:
-            args = list(map(of, x.args))
-            if _by_constant(x) and any(map(_by_constant, x.args)):
-                args = lax.optimization_barrier(args)
-            found[id(x)] = _applied(x.code, x.kind, args)
-        return [found[id(slot.gives)] if slot.gives else np.zeros((), slot.dtype) for slot in slots]
-
-    rows = {x.kind: x.array for x in inputs.values() if x.wide}  # where none is asked for, one that is there
-    row = lambda slot: slot.own.array if slot.own else rows.get(TYPES[slot.dtype], jnp.zeros(lanes, slot.dtype))
-    common = [slot.common.array if slot.common else np.zeros((), slot.dtype) for slot in slots]
-    found = lax.reduce_window(tuple(map(row, slots)), tuple(common), lambda *x: tuple(together(*x)), (1,), (1,), "VALID")
-    for slot, x in zip(slots, found, strict=True):
-        if slot.gives is not None:
-            slot.gives.array = x if slot.gives.wide else x[0]
-
-
-def _slots(inputs: Sequence[Value], outputs: Sequence[Value]) -> list[_Slot]:
-    """The slots of a window; two at least, as XLA takes a window of one number for nothing at all."""
-    slots: list[_Slot] = []
-    for kind in dict.fromkeys(x.kind for x in (*inputs, *outputs)):
-        alike = lambda values, kind=kind: [x for x in values if x.kind == kind]
-        columns = [x for x in inputs if not x.wide], [x for x in inputs if x.wide], outputs
-        slots += itertools.starmap(_Slot, itertools.zip_longest(*map(alike, columns)))
-    return slots if len(slots) > 1 else slots * 2
-
-
-def _by_constant(x: Value) -> bool:
-    """Whether it is a float and a constant, added or multiplied: of two of these in a row XLA makes one, and so 0 of what
-    (1 + x) - 1 - x is to say."""
-    return x.code in ("add", "sub", "mul") and x.kind in FLOATS and any(a.code == "const" for a in x.args)
-
-
-def _needed(kept: Sequence[Value]) -> set[int]:
-    """The ids of those that wait and that others which are kept are made of."""
-    todo, needed = list(kept), set()
-    while todo:
-        x = todo.pop()
-        if x.array is None and id(x) not in needed:
-            needed.add(id(x))
-            todo += x.args
-    return needed

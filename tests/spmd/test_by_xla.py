@@ -78,7 +78,9 @@ def test_a_scan_reads_rows_and_stacks_others(turns):
 
 def test_each_lane_leaves_its_loop_by_itself():
     def function(x):
-        return lax.while_loop(lambda c: c[0] < 100.0, lambda c: (c[0] * 1.5 + jnp.abs(x[1]), c[1] + 1), (jnp.abs(x[0]) + 0.1, 0))
+        return lax.while_loop(
+            lambda c: c[0] < 100.0, lambda c: (c[0] * 1.5 + jnp.abs(x[1]), c[1] + 1), (jnp.abs(x[0]) + 0.1, 0)
+        )
 
     values, turns = over(function, X)
     for x, value, count in zip(X, values, turns, strict=True):
@@ -124,7 +126,9 @@ def test_lanes_go_in_blocks(monkeypatch):
     close(over(function, X), whole)
 
 
-@pytest.mark.parametrize(("name", "of"), [("log1p", np.log1p), ("arctanh", np.arctanh), ("arcsinh", np.arcsinh), ("expm1", np.expm1)])
+@pytest.mark.parametrize(
+    ("name", "of"), [("log1p", np.log1p), ("arctanh", np.arctanh), ("arcsinh", np.arcsinh), ("expm1", np.expm1)]
+)
 def test_compensated_sums_stay_so(name, of):
     """XLA makes x of (1 + x) - 1, if it sees both constants."""
     x = (10.0 ** RNG.uniform(-7, -0.1, 500)).astype(np.float32)
@@ -144,9 +148,10 @@ def test_nothing_is_computed_twice():
 
 
 def test_mass_and_acceleration_belong_together():
-    """M(q) qdd + h = torque, by NumPy's solution, of three joints with bodies."""
-    robot, dynamics = random_arms.arm(1, 3), jaxik.dynamics
-    q = jnp.asarray(RNG.uniform(-1.0, 1.0, (11, 3)))
+    """M(q) qdd + h = torque, by NumPy's solution."""
+    body = [2.0, 0.02, -0.04, 0.2, 0.05, 0.0, 0.05, 0.0, 0.0, 0.03]  # mass, moments, inertia at the joint
+    robot, dynamics = jaxik.load("planar2").with_parameters(np.array(2 * body)), jaxik.dynamics
+    q = jnp.asarray(RNG.uniform(-1.0, 1.0, (11, 2)))
     mass = np.asarray(jax.vmap(lambda q: dynamics.mass_matrix(robot, q))(q))
     bias = np.asarray(jax.vmap(lambda q: dynamics.bias_torque(robot, q, q))(q))
     found = jax.vmap(lambda q: dynamics.forward_dynamics(robot, q, q, q))(q)
@@ -180,10 +185,10 @@ def test_what_has_no_program_goes_as_it_is_written(monkeypatch):
     function = spmd.kernel(lambda x: cho_solve((jnp.linalg.cholesky(jnp.outer(x, x) + jnp.eye(4)), True), x))
     with pytest.warns(UserWarning, match="cholesky"):
         found = jax.jit(jax.vmap(function))(X)
-    close(found, [np.linalg.solve(np.outer(x, x) + np.eye(4), x) for x in X], 1e-9)
+    close(found, np.stack([np.linalg.solve(np.outer(x, x) + np.eye(4), x) for x in X]), 1e-9)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_random_programs(seed):
     """`tests/spmd/test_random.py` takes more of them, where llvmlite is not installed."""
     assert [said for _, said in program_generator.judged([seed]) if said not in ("", "ill-conditioned")] == []
