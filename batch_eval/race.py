@@ -31,6 +31,7 @@ PACKAGES = (
     "mujoco",
     "mujoco-mjx",
     "eaik",
+    "pytracik",
     "mink",
     "pin-pink",
     "scikit-robot",

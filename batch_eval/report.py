@@ -33,6 +33,7 @@ from tables.motions import (
     statistics_markdown,
     trajectory_markdown,
 )
+from tables.one_target import one_target_markdown
 from tables.planners import planners_markdown
 from tables.postures import (
     base_markdown,
@@ -80,6 +81,7 @@ TABLES = {
     "motions.json": motions_markdown,
     "narrow_goals.json": narrow_markdown,
     "nine_dof.json": nine_dof_markdown,
+    "one_target_benchmark.json": one_target_markdown,
     "peppers.json": peppers_markdown,
     "planners_benchmark.json": planners_markdown,
     "planning_benchmark.json": planning_markdown,

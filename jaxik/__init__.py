@@ -22,7 +22,7 @@ with _uncollected():
     from jaxik.collision import Scene, clearance, collides, explain, make_scene, motion_clearance
     from jaxik.files import load, load_scene, load_targets, save
     from jaxik.fitting import FitOptions
-    from jaxik.ik import IKOptions, implicit_ik, solve_ik
+    from jaxik.ik import IKOptions, Solver, implicit_ik, solve_ik
     from jaxik.kinematics import Robot, Task, forward_kinematics, jacobian
     from jaxik.reasons import LoadError, Reason
     from jaxik.spatial.rotations import pose
@@ -45,6 +45,7 @@ __all__ = [
     "Reason",
     "Robot",
     "Scene",
+    "Solver",
     "Task",
     "analytic",
     "clearance",

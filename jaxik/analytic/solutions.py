@@ -10,6 +10,7 @@ arm as it is mend both.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -32,6 +33,7 @@ BRANCHES = 8
 EXACT = 1e-13  # [m, rad] by which axes may miss without it
 STEPS = 4
 CLOSE = 1e-10  # [m, rad] of a pose, once mended
+NEARLY = 0.05  # [rad, m] outside of the limits that a branch may seem to be before the steps
 EDGE = 1e-4  # of a margin, by which a branch may seem to have ended where the steps find that it has not
 
 
@@ -72,31 +74,40 @@ def closed_form(robot: Robot, pose: Float[Array, "4 4"], slide: Float[Array, "..
         )
     dtype = jnp.result_type(pose, given, jnp.float32)
     pose, given = pose.astype(dtype), given.astype(dtype)
-    found = [each for half in solver.half_branches(pose, given) for each in half.finish()]
-    all_joints = [x for angles, _ in found for x in solver.joints(given, angles)]
-    found_q = stack(all_joints, (solver.family.branches, robot.num_joints), dtype)
-    q, margins = polished(solver, pose, found_q, stack([margin for _, margin in found], (len(found),), dtype))
+    q, margins = polished(solver, pose, *_formed(solver, pose, given))
     q, inside = into_limits(robot, q)
     valid = margins >= 0.0  # NaN is not
     return ClosedForm(q, valid, valid & inside)
 
 
+def _formed(solver: Solver, pose: Any, given: Any) -> tuple[Any, Any]:
+    """The branches q (m, n) as the closed form has them, and their margins (m,)."""
+    found = [each for half in solver.half_branches(pose, given) for each in half.finish()]
+    all_joints = [x for angles, _ in found for x in solver.joints(given, angles)]
+    q = stack(all_joints, (solver.family.branches, solver.robot.num_joints), pose.dtype)
+    return q, stack([margin for _, margin in found], (len(found),), pose.dtype)
+
+
+def _is_exact(solver: Solver, dtype: Any) -> bool:
+    """Whether branches need no steps; in float32 steps gain nothing."""
+    return float(jnp.finfo(dtype).eps) > EXACT or (solver.misfit <= EXACT and solver.family.cost != ELLIPSE)
+
+
 def polished(solver: Solver, pose: Any, q: Any, margins: Any) -> tuple[Any, Any]:
     """Returns branches q (m, n) and their margins (m,), after some steps of the solved joints towards the pose (4, 4); a branch
     that does not come close has no margin. Branches that need no steps, and those in float32, stay as they are."""
-    eps = float(jnp.finfo(q.dtype).eps)
-    if eps > EXACT or (solver.misfit <= EXACT and solver.family.cost != ELLIPSE):
+    if _is_exact(solver, q.dtype):
         return q, margins
     aim = Frame.of_entries(traced(pose))
+    return lax.scan(lambda carry, row: (carry, _polished(solver, aim, *row)), None, (q, margins))[1]
 
-    def branch(carry: None, row: Any) -> tuple[None, Any]:
-        q, margin = row
-        q = lax.fori_loop(0, STEPS, lambda _, q: q + _step(solver, q, aim), q)
-        left = jnp.max(jnp.abs(jnp.stack(_look(solver, q, aim)[1])))
-        there = (left <= CLOSE) & (margin >= -EDGE)
-        return None, (q, jnp.where(there, jnp.maximum(margin, 0.0), -jnp.maximum(left, EXACT)))
 
-    return lax.scan(branch, None, (q, margins))[1]
+def _polished(solver: Solver, aim: Frame, q: Any, margin: Any) -> tuple[Any, Any]:
+    """One branch after the steps, and its margin."""
+    q = lax.fori_loop(0, STEPS, lambda _, q: q + _step(solver, q, aim), q)
+    left = jnp.max(jnp.abs(jnp.stack(_look(solver, q, aim)[1])))
+    there = (left <= CLOSE) & (margin >= -EDGE)
+    return q, jnp.where(there, jnp.maximum(margin, 0.0), -jnp.maximum(left, EXACT))
 
 
 def _step(solver: Solver, q: Any, aim: Frame) -> Any:
@@ -147,15 +158,57 @@ def one_branch(robot: Robot, pose: Any, given: Any, number: Any) -> tuple[Any, A
 closed_branches = host_kernels(3, known=16)(one_branch)
 
 
+class Candidates(NamedTuple):
+    """Branches one after the other: which may be inside the limits (m,), and how branch k is `finished`: its joints (n,), and
+    whether it has the pose and is inside. Where branches need steps, which take most of the time, only these are mended."""
+
+    left: Bool[Array, " m"]
+    finished: Callable[[Any], tuple[Any, Any]]
+
+    def next(self, first: Any) -> Any:
+        """The number of the first candidate from `first` on; `BRANCHES` where there is none."""
+        found = jnp.int32(BRANCHES)
+        for k in reversed(range(BRANCHES)):
+            found = jnp.where(self.left[k] & (first <= k), jnp.int32(k), found)
+        return found
+
+
+def candidates(robot: Robot, pose: Any, given: Any) -> Candidates:
+    """The candidates for a pose (4, 4) and given values (k,). Traced."""
+    solver = solver_of(robot)
+    if _is_exact(solver, pose.dtype):
+        q, _, inside = closed_form(robot, pose, given)
+        return Candidates(inside, lambda k: (q[k], jnp.bool_(True)))
+    q, margins = _formed(solver, pose, given)
+    low, high = (jnp.asarray(bound, q.dtype) for bound in (robot.lower, robot.upper))
+    turned, _ = into_limits(robot, q)
+    aim = Frame.of_entries(traced(pose))
+
+    def finished(k: Any) -> tuple[Any, Any]:
+        mended, margin = _polished(solver, aim, q[k], margins[k])
+        mended, inside = into_limits(robot, mended)
+        return mended, inside & (margin >= 0.0)
+
+    near = jnp.all((turned >= low - NEARLY) & (turned <= high + NEARLY), axis=1)
+    return Candidates((margins >= -EDGE) & near, finished)
+
+
 def first_branch(robot: Robot, pose: Any, given: Any) -> tuple[Any, Any]:
     """Returns, for a pose and given values, the joints (n,) of the first branch inside the limits, and its number; `BRANCHES`
     where there is none. Traced."""
-    q, _, inside = closed_form(robot, pose, given)
-    joints, number = q[-1], jnp.int32(BRANCHES)
-    for k in reversed(range(BRANCHES)):
-        joints, number = jnp.where(inside[k], q[k], joints), jnp.where(inside[k], jnp.int32(k), number)
+    if _is_exact(solver_of(robot), pose.dtype):  # without a loop
+        q, _, inside = closed_form(robot, pose, given)
+        joints, number = q[-1], jnp.int32(BRANCHES)
+        for k in reversed(range(BRANCHES)):
+            joints, number = jnp.where(inside[k], q[k], joints), jnp.where(inside[k], jnp.int32(k), number)
+        return joints, number
+    found = candidates(robot, pose, given)
+
+    def branch(state: Any) -> Any:
+        k = state[0]
+        joints, fits = found.finished(k)
+        return found.next(k + 1), joints, jnp.where(fits, k, BRANCHES)
+
+    begin = found.next(jnp.int32(0)), jnp.zeros(robot.num_joints, pose.dtype), jnp.int32(BRANCHES)
+    _, joints, number = lax.while_loop(lambda s: (s[2] == BRANCHES) & (s[0] < BRANCHES), branch, begin)
     return joints, number
-
-
-# a batch of `first_branch`: (poses, what is given), by rows
-first_branches = host_kernels(2, known=16)(first_branch)

@@ -13,7 +13,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from jaxik.ik.solve import IKResult
+from jaxik.ik.result import IKResult
 from jaxik.kinematics.forward import forward_kinematics
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import Reason

@@ -17,9 +17,10 @@ import itertools
 import numpy as np
 
 from jaxik.analytic.families import AnySix, any_solver_of, redundancy, scan_obstacle, solver_of
-from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, first_branches
+from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms
 from jaxik.homotopy.general import GeneralArm, general_kernel
 from jaxik.ik import seeds, solutions
+from jaxik.ik.branch_search import NOBODY, first_answers
 from jaxik.ik.problem import Problem
 from jaxik.ik.solutions import Found, at_home, candidates, nothing, scores
 from jaxik.ik.sqp_programs import solve_errors
@@ -29,6 +30,7 @@ from jaxik.spmd.batch import in_blocks
 
 TRIED = 2  # points of the first wave; each further wave has as many as all before it
 TOGETHER = 32  # rows of a kernel's call that take no longer than one: the first wave of few targets fills them
+WAVES, FEW = (2, 6, 16, 48), 16  # points at which waves end, of more than so few targets: each is done with when it has one
 ZOOMS, ZOOMED, NARROWER = 3, 8, 0.3  # rounds of points near an answer's own, points of each, and how much nearer each is
 
 
@@ -68,7 +70,9 @@ def enumerated(problem: Problem, left: np.ndarray) -> Found:
         followed = [_followed(problem, found)] if problem.robot.num_joints > 6 else []
         found = _best(problem, Found.joined([found, *followed]))
     else:
-        found = (_first if problem.most == 1 and problem.scene is None else _several)(problem, left)
+        if problem.most == 1 and problem.scene is None:
+            return _first(problem, left)
+        found = _several(problem, left)
     if not len(found.q):
         return found
     away, turned = solve_errors(problem.robot, problem.tasks, found.q, problem.poses[found.target])
@@ -77,16 +81,16 @@ def enumerated(problem: Problem, left: np.ndarray) -> Found:
 
 
 def _first(problem: Problem, left: np.ndarray) -> Found:
-    """Returns, for each target, the first branch inside the limits at the first point that has one."""
-    found = [nothing(problem)]
-    for first, last in itertools.pairwise(_tries(problem, len(left))):
-        values = _values(problem, first, last)
-        rows = np.repeat(problem.poses[left], len(values), axis=0), np.tile(values, (len(left), 1))
-        q, branch = in_blocks(first_branches(problem.robot), *rows, double=True)
-        fits = (branch < BRANCHES).reshape(len(left), len(values))
-        value, has = np.argmax(fits, axis=1), fits.any(axis=1)
-        row = (np.arange(len(left)) * len(values) + value)[has]
-        found.append(candidates(q[row], left[has], BRANCHES * (first + value[has]) + branch[row]))
+    """Returns, for each target, the first branch inside the limits at the first point at which one has the pose."""
+    found, values = [nothing(problem)], points(problem)
+    most = len(values)
+    waves = [0, most] if len(left) <= FEW else [0, *itertools.takewhile(lambda end: end < most, WAVES), most]
+    for first, last in itertools.pairwise(waves):
+        rows, tried = (problem.poses[left], problem.tolerance[left]), (np.int32(first), np.int32(last), values)
+        q, away, turned, number = in_blocks(first_answers(problem.robot), *rows, fixed=tried, double=True)
+        has = number < NOBODY
+        answers = candidates(q[has], left[has], number[has])
+        found.append(answers._replace(position_error=away[has], rotation_error=turned[has]))
         left = left[~has]
         if not len(left):
             break
@@ -160,6 +164,11 @@ def _best(problem: Problem, found: Found) -> Found:
     if problem.most == 1:
         return found.rows(solutions.top(found.target, score, 1, found.seed))
     return found.rows(solutions.far_apart(problem, found, score, problem.most, problem.options.distinct))
+
+
+def points(problem: Problem) -> np.ndarray:
+    """All points that are tried for one answer (p, k)."""
+    return _values(problem, 0, _most(problem))
 
 
 def _values(problem: Problem, first: int, last: int) -> np.ndarray:

@@ -111,8 +111,11 @@ def searched_for(problem: Problem, valid: np.ndarray, stuck: Found | None = None
 
     asked, waves = problem, _waves(problem.options.max_seeds, problem.first_will_do, problem.scene is not None)
     stages = [waves]
+    known = none
     if OPEN in reason and enumerable(problem):
-        note(enumerated(problem, np.flatnonzero(reason == OPEN)))
+        known = enumerated(problem, np.flatnonzero(reason == OPEN))
+        reason[known.target] = SOLVED
+        known = known if problem.reference is None else at_home(problem, known)  # else branches are at home
         if not problem.alone and _is_known(problem):
             problem, stages = _of_the_rest(problem)
     if OPEN in reason:
@@ -137,7 +140,7 @@ def searched_for(problem: Problem, valid: np.ndarray, stuck: Found | None = None
         note(*judged(problem, missed.rows(landed)))  # late, but they have the pose
         missed = missed.rows(~landed)
     problem = asked
-    found = at_home(problem, Found.joined(answers))
+    found = Found.joined([known, at_home(problem, Found.joined(answers))])
     if problem.costly:
         found = refinement.improved(problem, found)
     if (reason == SOLVED).all():

@@ -108,7 +108,7 @@ def _fault(pose: np.ndarray) -> int:
     return 1 + [*fine, False].index(False)
 
 
-def _rigid_pose(pose: Any) -> tuple[Any, Any]:
+def rigid_pose(pose: Any) -> tuple[Any, Any]:
     """A pose (4, 4) with its rotation made orthonormal, and whether it was one; else the identity."""
     valid, rotation = is_rigid(pose), pose[:3, :3]
     for _ in range(2):  # towards the nearest rotation, quadratically [Higham 1986]
@@ -117,7 +117,7 @@ def _rigid_pose(pose: Any) -> tuple[Any, Any]:
     return jnp.where(valid, pose, jnp.eye(4)), valid
 
 
-RIGID_POSE = HostKernel(_rigid_pose, 1)
+RIGID_POSE = HostKernel(rigid_pose, 1)
 
 
 @dataclasses.dataclass(frozen=True)

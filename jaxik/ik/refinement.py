@@ -9,6 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxik.costs import Cost
@@ -70,11 +71,15 @@ def settled(problem: Problem, lanes: Found, most: int, double: bool = True, cree
 
 def put_inside(problem: Problem, q: np.ndarray) -> np.ndarray:
     """Joints that turn all the way round, by whole turns back inside their limits."""
-    out = problem.circles & ((q < problem.low) | (q > problem.high))
-    if not out.any():
-        return q
-    low, high = (np.where(problem.circles, bound, 0.0) for bound in problem.limits[:2])
-    return np.where(out, np.minimum(low + np.mod(q - low, TURN), high), q).astype(q.dtype)
+    return turned_inside(problem.circles, problem.low, problem.high, q)
+
+
+def turned_inside(circles: np.ndarray, low: Any, high: Any, q: Any) -> Any:
+    """`put_inside` of joints that are `circles` (n,). Traced, or in NumPy; in float64, whatever q is."""
+    xp: Any = np if isinstance(q, np.ndarray) else jnp
+    out = circles & ((q < low) | (q > high))
+    low, high = (xp.where(circles, bound, 0.0) for bound in (low, high))
+    return xp.where(out, xp.minimum(low + xp.mod(q - low, TURN), high), q).astype(q.dtype)
 
 
 def settling(problem: Problem, options: sqp.Options = FINISH) -> Callable[..., Any]:

@@ -82,13 +82,18 @@ def uniforms(inside: Range, seed: int, first: int, last: int) -> np.ndarray:
 
 
 def near(inside: Range, seed: int, first: int, last: int, reference: np.ndarray) -> np.ndarray:
-    """Configurations `first` to `last` around references (N, n), (N, last - first, n): number 0 is the reference itself; the
+    """Configurations `first` to `last` around references (N, n), (N, last - first, n)."""
+    return np.clip(reference[:, None] + around(inside, seed, first, last), np.array(inside.low), np.array(inside.high))
+
+
+@functools.lru_cache(maxsize=64)
+def around(inside: Range, seed: int, first: int, last: int) -> np.ndarray:
+    """How far configurations `first` to `last` are from a reference (last - first, n): number 0 is the reference itself; the
     box is a tenth of the range at first and all of it from number 32 on."""
     numbers = np.arange(first, last)
     width = np.where(numbers == 0, 0.0, np.minimum(1.0, 0.1 * 10.0 ** (numbers / 32.0)))
     low, high = np.array(inside.low), np.array(inside.high)
-    away = uniforms(inside, seed, first, last) - (low + high) / 2.0
-    return np.clip(reference[:, None] + width[:, None] * away, low, high)
+    return read_only(width[:, None] * (uniforms(inside, seed, first, last) - (low + high) / 2.0))
 
 
 @functools.lru_cache(maxsize=64)
@@ -131,11 +136,13 @@ def centred(robot: Robot, tasks: Tasks, poses: np.ndarray) -> tuple[np.ndarray, 
 # The library
 
 
-def _features(task: Task, poses: np.ndarray, length: float) -> np.ndarray:
+def _features(task: Task, poses: Any, length: float) -> Any:
     """The parts of poses (N, 4, 4) that the task binds; squared distances are `|dp|^2 / length^2 + angle^2` for small angles.
-    A direction to look in, or a function of one's own, tells nothing of one pose alone."""
+    A direction to look in, or a function of one's own, tells nothing of one pose alone. Traced, or in NumPy."""
+    xp: Any = np if isinstance(poses, np.ndarray) else jnp
+    nothing = xp.zeros((len(poses), 1), np.float32)
     if task.looks or task.function is not None:
-        return np.zeros((len(poses), 1), np.float32)
+        return nothing
     parts = [poses[:, list(task.positions), 3] / length] if len(task.positions) == 3 or task.axes == "base" else []
     rotation = poses[:, :3, :3]
     if len(task.rotations) == 3:
@@ -143,13 +150,14 @@ def _features(task: Task, poses: np.ndarray, length: float) -> np.ndarray:
     elif len(task.rotations) == 2:  # the direction that is bound: of the tool's axis, or of the base's as the tool sees it
         (free,) = {0, 1, 2} - set(task.rotations)
         parts.append(rotation[:, :, free] if task.axes == "tool" else rotation[:, free])
-    return np.concatenate(parts, axis=1).astype(np.float32) if parts else np.zeros((len(poses), 1), np.float32)
+    return xp.concatenate(parts, axis=1).astype(np.float32) if parts else nothing
 
 
-def _all_features(tasks: Tasks, poses: list[np.ndarray], length: float) -> np.ndarray:
-    """The features of all tasks side by side, of their poses (N, 4, 4)."""
+def features(tasks: Tasks, poses: list[Any], length: float) -> Any:
+    """The features of all tasks side by side, of their poses (N, 4, 4). Traced, or in NumPy."""
     parts = [_features(task, each, length) for task, each in zip(tasks.each, poses, strict=True)]
-    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+    xp: Any = np if isinstance(parts[0], np.ndarray) else jnp
+    return parts[0] if len(parts) == 1 else xp.concatenate(parts, axis=1)
 
 
 class _Set(NamedTuple):
@@ -161,17 +169,17 @@ class _Set(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def _set(robot: Robot, tasks: Tasks, inside: Range, length: float, number: int) -> _Set:
+def set_of(robot: Robot, tasks: Tasks, inside: Range, length: float, number: int) -> _Set:
     # the user's seed does not change it: it is built once a robot
     q = uniform(inside, 0, number, LATER if number else FIRST)
     frames = tasks.frames(joint_frames(robot, list(q.T)))  # what no joint moves has only one
-    features = _all_features(tasks, [np.broadcast_to(each.matrices, (len(q), 4, 4)) for each in frames], length)
-    return read_only(_Set(q.astype(np.float32), np.column_stack([features, -0.5 * np.sum(features**2, axis=1)])))
+    found = features(tasks, [np.broadcast_to(each.matrices, (len(q), 4, 4)) for each in frames], length)
+    return read_only(_Set(q.astype(np.float32), np.column_stack([found, -0.5 * np.sum(found**2, axis=1)])))
 
 
 @functools.lru_cache(maxsize=64)
 def _sets(robot: Robot, tasks: Tasks, inside: Range, length: float, first: int, last: int) -> list[_Set]:
-    return [_set(robot, tasks, inside, length, number) for number in range(first, last)]
+    return [set_of(robot, tasks, inside, length, number) for number in range(first, last)]
 
 
 def library(
@@ -186,11 +194,11 @@ def library(
         for k, each in enumerate(sets):
             share = shares[first + k] if first + k else None
             drawn = [task.drawn(x, share, 3.0 * length) for task, x in zip(tasks.each, tasks.poses(poses), strict=True)]
-            (row,) = in_blocks(NEAREST, _all_features(tasks, drawn, length), fixed=([each.table],), double=False)
+            (row,) = in_blocks(NEAREST, features(tasks, drawn, length), fixed=([each.table],), double=False)
             at[:, k] = each.q[row]
     elif sets:
         found = in_blocks(
-            NEAREST, _all_features(tasks, tasks.poses(poses), length), fixed=([each.table for each in sets],), double=False
+            NEAREST, features(tasks, tasks.poses(poses), length), fixed=([each.table for each in sets],), double=False
         )
         for k, rows in enumerate(found):
             at[:, k] = sets[k].q[rows]

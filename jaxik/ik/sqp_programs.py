@@ -118,12 +118,21 @@ def land(
 
 
 def settle(
-    robot: Robot, tasks: Tasks, options: sqp.Options, q: Any, pose: Any, aim: Any, limits: Any, most: Any, creep: Any
+    robot: Robot,
+    tasks: Tasks,
+    options: sqp.Options,
+    q: Any,
+    pose: Any,
+    aim: Any,
+    limits: Any,
+    most: Any,
+    creep: Any,
+    race: sqp.Race | None = None,
 ) -> tuple[Any, ...]:
     """`sqp.settle` likewise: q, its errors, and after how many steps it came to rest."""
     low, high, weights = limits
     problem = _problem(robot, Goal(tasks), pose, weights, (None, None), q.dtype)
-    found, apart, count = sqp.settle(problem, jnp.clip(q, low, high), low, high, most, aim, creep, options)
+    found, apart, count = sqp.settle(problem, jnp.clip(q, low, high), low, high, most, aim, creep, options, race)
     return *_apart(robot, tasks, found, apart, pose), count
 
 

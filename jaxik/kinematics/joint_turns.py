@@ -72,13 +72,15 @@ def all_turns(robot: Robot, q: Any, lower: Any, upper: Any) -> tuple[np.ndarray,
     return row, np.where(turns, np.clip(turned, lower, upper), q[row])
 
 
-def nearest_turns(robot: Robot, q: Any, goal: Any, lower: Any, upper: Any) -> np.ndarray:
+def nearest_turns(robot: Robot, q: Any, goal: Any, lower: Any, upper: Any) -> Any:
     """Turns each revolute joint of `q` (..., n) by the multiple of 2 pi that brings it nearest to `goal` (..., n) inside the
-    limits (n,); a joint without a turn inside them, or with a range of 0, or that is not `periodic`, keeps its value. Host."""
+    limits (n,); a joint without a turn inside them, or with a range of 0, or that is not `periodic`, keeps its value. Traced,
+    or in NumPy."""
+    xp: Any = np if isinstance(q, np.ndarray) else jnp
     first, last = _turns(q, lower, upper)
-    turns = np.clip(np.round((goal - q) / TURN), first, last)
+    turns = xp.clip(xp.round((goal - q) / TURN), first, last)
     moves = periodic(robot) & (lower < upper) & (first <= last)
-    return np.where(moves, np.clip(q + np.where(moves, turns, 0.0) * TURN, lower, upper), q)
+    return xp.where(moves, xp.clip(q + xp.where(moves, turns, 0.0) * TURN, lower, upper), q)
 
 
 def endless(robot: Robot) -> np.ndarray:
@@ -102,8 +104,9 @@ def whole_turns(endless: np.ndarray, q: np.ndarray) -> Any:
 
 def _turns(q: Any, lower: Any, upper: Any) -> tuple[Any, Any]:
     """Returns the first and the last multiple of 2 pi that leave q inside the limits, but for rounding."""
+    xp: Any = np if isinstance(q, np.ndarray) else jnp
     slack = 1e-12
-    return np.ceil((lower - q) / TURN - slack), np.floor((upper - q) / TURN + slack)
+    return xp.ceil((lower - q) / TURN - slack), xp.floor((upper - q) / TURN + slack)
 
 
 def wrapped(angle: Scalar) -> Scalar:

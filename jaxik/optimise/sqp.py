@@ -110,12 +110,20 @@ def run(problem: Problem, x: Any, low: Any, high: Any, iterations: int, options:
     return jnp.stack(found), jnp.stack([jnp.asarray(v, x.dtype) for v in values]) if values else jnp.zeros(0, x.dtype)
 
 
+class Race(NamedTuple):
+    """Searches from several starts side by side, of which the first counts that comes to rest at a solution: `lost` says of a
+    search by its error whether another has won against it, and `going` of all whether any goes on."""
+
+    lost: Callable[[Any], Any]
+    going: Callable[[Any], Any]
+
+
 def settle(
-    problem: Problem, x: Any, low: Any, high: Any, most: Any, aim: Any, creep: Any, options: Options
+    problem: Problem, x: Any, low: Any, high: Any, most: Any, aim: Any, creep: Any, options: Options, race: Race | None = None
 ) -> tuple[Any, Any, Any]:
     """Gauss-Newton steps from x inside its bounds (n,), every one taken, until the equations' norm is `aim` or less, or after
-    two steps still above `creep` times what it was, or `most` steps are done: x (n,), the equations' values there, and how many
-    steps it took. B is the metric."""
+    two steps still above `creep` times what it was, or `most` steps are done, or a `race` is lost: x (n,), the equations'
+    values there, and how many steps it took. B is the metric."""
     lower, upper, start = ([v[i] for i in range(len(x))] for v in (low, high, x))
 
     def turn(state: Any) -> Any:
@@ -123,13 +131,15 @@ def settle(
         model = problem.model(x)
         error = jnp.sqrt(model.violation)
         rests = (error <= aim) | (error > creep * before) | (count >= most)
+        rests = rests if race is None else rests | race.lost(error)
         x = lax.cond(rests, lambda: x, lambda: _step(problem, model, x, lower, upper, options)[0])
         return jnp.where(rests, count, count + 1), rests, x, _arrays(tuple(model.equality.value), error.dtype), (error, last)
 
+    going = (lambda going: going) if race is None else race.going
     far = jnp.full_like(start[0], jnp.inf)
     values = jax.eval_shape(lambda: _arrays(tuple(problem.model(start).equality.value), far.dtype))
     begin = jnp.int32(0), jnp.bool_(False), tuple(start), tuple(jnp.zeros_like(far) for _ in values), (far, far)
-    count, _, found, values, _ = lax.while_loop(lambda state: ~state[1], turn, begin)
+    count, _, found, values, _ = lax.while_loop(lambda state: going(~state[1]), turn, begin)
     return jnp.stack(found), jnp.stack(values) if values else jnp.zeros(0, x.dtype), count
 
 

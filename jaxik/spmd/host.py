@@ -94,7 +94,7 @@ class HostKernel:
         address = words.buffer_info()[0]
 
         def again(*given: Any, words: Any = words) -> list[np.ndarray]:
-            for x, now in zip(own[:leaves], given, strict=True):
+            for x, now in zip(own[:leaves], given, strict=False):
                 x[...] = now
             words[NEXT] = words[DONE] = 0
             made.work(address)
@@ -102,8 +102,22 @@ class HostKernel:
 
         return again
 
+    def knows(self, *args: Any, double: bool) -> bool:
+        """Whether the kernel for such arguments has been made in this process."""
+        return self._keyed(args, double)[0] in self.known
+
     def _prepared(self, args: Any, double: bool | None) -> tuple[call.Made, list[np.ndarray], list[np.ndarray], int]:
         """The kernel, its operands, where its results go, and how many rows there are."""
+        key, operands, count = self._keyed(args, double)
+        found = self.known.get(key)
+        if found is None:
+            found = self._once(key)
+        outputs, made, more = found
+        operands += more
+        return made, operands, [np.empty((count, *a.shape), a.dtype) for a in outputs], count
+
+    def _keyed(self, args: Any, double: bool | None) -> tuple[Any, list[np.ndarray], int]:
+        """The key of the kernel for such arguments, its operands, and how many rows there are."""
         args = tuple([np.asarray(x) if type(x) is list else x for x in args[: self.lanes]]) + args[self.lanes :]
         leaves, tree = jax.tree_util.tree_flatten(args)
         rows = len(jax.tree_util.tree_leaves(args[: self.lanes]))
@@ -114,13 +128,7 @@ class HostKernel:
         operands = [_array(x, width) for x in leaves]
         count = _rows(operands, rows)
         shapes = [x.shape[1:] for x in operands[:rows]] + [x.shape for x in operands[rows:]]
-        key = tree, double, rows, tuple(shapes), "".join([x.dtype.char for x in operands])
-        found = self.known.get(key)
-        if found is None:
-            found = self._once(key)
-        outputs, made, more = found
-        operands += more
-        return made, operands, [np.empty((count, *a.shape), a.dtype) for a in outputs], count
+        return (tree, double, rows, tuple(shapes), "".join([x.dtype.char for x in operands])), operands, count
 
     def _once(self, key: Any) -> tuple[list[Any], call.Made, list[np.ndarray]]:
         """Makes a kernel, or waits for the thread that does."""

@@ -25,7 +25,8 @@ from jaxik.checks.options import optional, shown
 from jaxik.collision.contact_report import warn_of_scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.ik.problem import Poses
-from jaxik.ik.solve import IKResult, solved
+from jaxik.ik.result import IKResult
+from jaxik.ik.solve import solved
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import Reason
 from jaxik.spmd.batch import compilation_cache

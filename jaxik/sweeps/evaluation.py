@@ -18,8 +18,9 @@ from jaxik.collision.scene import Scene, remembered
 from jaxik.collision.scene_builder import make_scene
 from jaxik.costs import joint_limit_margin
 from jaxik.ik.problem import Poses
+from jaxik.ik.result import IKResult
 from jaxik.ik.solutions import first_most
-from jaxik.ik.solve import IKResult, solved
+from jaxik.ik.solve import solved
 from jaxik.kinematics.forward import manipulability, pose_errors
 from jaxik.kinematics.robot import Robot
 from jaxik.reach.leading_joints import NOTHING, arm_of, freest, grid, leading_grid

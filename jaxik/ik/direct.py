@@ -1,0 +1,157 @@
+"""One target at a time, as fast as Python calls: programs that are prepared once, and nothing else between them.
+
+Most targets are answered here, by one program: by the closed form (`branch_search`), or from the first seeds (`seed_search`).
+A target that is left, or whose answer collides, is left to the whole driver, `multistart`, which begins anew and says why there
+is none. What is answered here has the same bits as there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxik.collision.bvh import decided_within, own_in
+from jaxik.collision.own_shape import told_below
+from jaxik.ik import seeds
+from jaxik.ik.branch_search import NOBODY, first_answers, first_clear_answers
+from jaxik.ik.enumeration import enumerable, points
+from jaxik.ik.problem import RIGID_POSE, Problem
+from jaxik.ik.result import IKResult
+from jaxik.ik.seed_search import Setup, Shared, Target, first_from_seeds
+from jaxik.ik.sqp_programs import batch, clearance_around
+from jaxik.kinematics.joint_turns import endless
+from jaxik.reasons import Reason
+from jaxik.spmd import HostKernel
+from jaxik.spmd.trace import TEAM_SIZE
+
+SEEDS, CLEAR_SEEDS = 16, 64  # seeds that are tried here: without and with obstacles, before anything else is
+LEAST = 128  # seeds that a user may ask for at least: of fewer the driver makes other steps
+
+Searched = Callable[[np.ndarray, np.ndarray | None], Sequence[np.ndarray]]
+
+
+def is_direct(problem: Problem) -> bool:
+    """Whether targets of such a problem, which has one, may be answered directly."""
+    options, free = problem.options, problem.scene is None or problem.alone
+    if not problem.first_will_do or options.nearest or options.max_seeds < LEAST or options.max_seeds % TEAM_SIZE:
+        return False
+    if any(task.within for task in problem.tasks.each) or len(seeds.sliding_base(problem.robot)[0]):
+        return False
+    if problem.strategy == "near":
+        return not endless(problem.robot).any()
+    return problem.reference is None and (problem.strategy != "closed_form" or (free and enumerable(blind(problem))))
+
+
+def has_branches(problem: Problem) -> bool:
+    """Whether a direct problem is answered by its closed form."""
+    return (problem.scene is None or problem.alone) and enumerable(blind(problem))
+
+
+class Direct:
+    """A robot, its surroundings and the options, ready for one target after another. Making one compiles."""
+
+    def __init__(self, problem: Problem):
+        self.problem = problem
+        self._rigid = RIGID_POSE.repeated(np.eye(4)[None], double=True)
+        self._search, self._told = _search(problem), None
+        if problem.scene is not None and own_in(problem.scene):
+            around = decided_within(problem.scene, lambda usual: told_below(usual, problem.options.margin))
+            self._told = _clearances(problem, around)
+        self._usual = _usual(problem)
+
+    def __call__(self, pose: np.ndarray, home: np.ndarray | None = None) -> IKResult | None:
+        """The answer for a pose (4, 4) in float64, from seeds near the posture `home` (n,) where these are asked for; None
+        where there is none here."""
+        poses, valid = self._rigid(pose[None])
+        if not valid[0]:
+            return None
+        q, away, turned, clearance, number, count = self._search(poses, home)
+        if number[0] >= NOBODY:
+            return None
+        if self._told is not None:
+            (clearance,) = self._told(q)
+        result: IKResult = object.__new__(IKResult)
+        found = {"q": q[0], "position_error": away[0], "rotation_error": turned[0], "clearance": clearance[0]}
+        vars(result).update(self._usual, **found, seed=number[0], iterations=count[0], solutions=q)
+        return result
+
+
+def blind(problem: Problem) -> Problem:
+    """The problem with nothing to hit."""
+    return problem if problem.scene is None else dataclasses.replace(problem, scene=None)
+
+
+def _usual(problem: Problem) -> dict[str, Any]:
+    """The fields that all answers have in common."""
+    tasks = problem.tasks
+    none = {"task": np.int64(-1), "beyond": np.float64(0.0), "other": np.int64(-1), "apart": np.zeros(2)}
+    nearest = {"distance": np.float64(np.nan), "proven": np.bool_(False), "least_distance": np.float64(np.nan), "joints": None}
+    around = None if problem.scene is None else (problem.robot, problem.scene, problem.options.margin)
+    own = {"num_solutions": np.int64(1), "fault": np.int8(0), "tasks": tasks.names if tasks.listed else (), "solved_in": around}
+    return {"reason": Reason.SOLVED, **own, **none, **nearest}
+
+
+def _clearances(problem: Problem, around: Any) -> Callable[[np.ndarray], list[np.ndarray]]:
+    kernel = batch(1, clearance_around, problem.robot)
+    return kernel.repeated(np.zeros((1, problem.robot.num_joints)), around, double=True)
+
+
+def is_compiled(problem: Problem) -> bool:
+    """Whether the program that answers a direct problem is there already."""
+    kernel, given, _ = _program(problem)
+    return kernel.knows(*given, double=True)
+
+
+def _program(problem: Problem) -> tuple[HostKernel, tuple[Any, ...], bool]:
+    """The program that answers targets, an example of what it is given, and whether it goes through branches."""
+    if has_branches(problem):
+        values = points(blind(problem))
+        given: tuple[Any, ...] = problem.poses[:1], problem.tolerance[:1], np.int32(0), np.int32(len(values)), values
+        if problem.scene is None:
+            return first_answers(problem.robot), given, True
+        return first_clear_answers(problem.robot), (*given, problem.scene, np.float64(problem.options.margin)), True
+    given, setup = seed_rows(problem, SEEDS if problem.scene is None else CLEAR_SEEDS, rescues=False)
+    return first_from_seeds(setup), given, False
+
+
+def _search(problem: Problem) -> Searched:
+    """The program as a function of a pose (1, 4, 4) and a posture: a posture, its errors, its clearance, the number of its seed
+    and how many steps led there, each (1, ...)."""
+    kernel, given, branches = _program(problem)
+    run = kernel.repeated(*given, double=True)
+    if not branches:
+        target = given[0]
+        return lambda pose, home: run(pose) if home is None else run(pose, target.tolerance, target.aim, home[None])
+    unknown, none = np.full(1, np.nan), np.zeros(1, int)
+
+    def search(pose: np.ndarray, home: np.ndarray | None) -> Sequence[np.ndarray]:
+        q, away, turned, *clearance, number = run(pose)
+        return q, away, turned, clearance[0] if clearance else unknown, number, none
+
+    return search
+
+
+def seed_rows(problem: Problem, most: int, rescues: bool, library: int = seeds.SETS) -> tuple[tuple[Target, Shared], Setup]:
+    """The rows of the targets, what they share, and the facts of a search from `most` seeds, of which so many are of the
+    library, if it has one."""
+    robot, near = problem.robot, problem.strategy == "near"
+    library = library if problem.strategy == "library" else 0
+    inside = problem.whole if near else problem.inside
+    table = np.zeros((most, robot.num_joints))
+    if near:
+        table[:] = seeds.around(inside, problem.seed, 0, most)
+    elif problem.strategy == "low_discrepancy":
+        table[:] = seeds.low_discrepancy(inside, problem.seed, 0, most)
+    else:
+        table[library:] = seeds.uniforms(inside, problem.seed, library, most)
+    clear = problem.scene is not None
+    around = (problem.scene, np.float64(problem.options.margin)) if clear else ()
+    low, high, _ = problem.round_limits
+    shared = Shared(problem.low, problem.high, problem.weights, low, high, table, around)
+    target = Target(problem.poses, problem.tolerance, problem.aim, np.array(problem.home(np.arange(len(problem.aim)))))
+    circles = tuple(problem.circles.tolist())
+    setup = Setup(robot, problem.tasks, problem.unit, circles, most, library, inside, near, clear, problem.alone, rescues)
+    return (target, shared), setup

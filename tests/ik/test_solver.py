@@ -1,0 +1,211 @@
+"""One target at a time: a `Solver`, the calls of `solve_ik` that come again, and the search as a pure function, against the
+driver's batches, bit for bit, and against Pinocchio."""
+
+import dataclasses
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from robots import pinocchio, pose_errors
+
+import jaxik
+from jaxik import Reason
+from jaxik.ik import ik_search, remembered
+from jaxik.spmd import Unsupported
+from jaxik.spmd import call as kernels
+
+AWAY = np.array([[1.0, 0.0, 0.0, 2.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+BALLS = [[0.4, 0.2, 0.5, 0.1], [-0.3, 0.3, 0.4, 0.15], [0.5, -0.4, 0.2, 0.1]]
+
+
+def poses(robot, count, seed=3):
+    """Poses of random configurations, by Pinocchio."""
+    q = np.random.default_rng(seed).uniform(*robot.finite_limits, (count, robot.num_joints))
+    pose = pinocchio(robot)
+    return q, np.stack([pose(row) for row in q])
+
+
+def assert_same(one, row):
+    """Two results are equal in each field, to the last bit."""
+    for field in dataclasses.fields(one):
+        if field.name in ("solved_in", "joints"):
+            continue
+        mine, theirs = getattr(one, field.name), getattr(row, field.name)
+        assert np.array_equal(np.asarray(mine), np.asarray(theirs), equal_nan=np.asarray(mine).dtype.kind == "f"), field.name
+        assert np.shape(mine) == np.shape(theirs)
+
+
+@pytest.fixture(scope="module")
+def panda():
+    return jaxik.load("panda")
+
+
+@pytest.fixture(scope="module")
+def world():
+    return jaxik.make_scene(spheres=BALLS)
+
+
+CASES = {
+    "by the closed form": ("ur5e", {"collision": False}),
+    "by the closed form, given values": ("p6r", {"collision": False}),
+    "from seeds": ("crops_v2", {"collision": False}),
+    "from few sequences": ("panda", {"collision": False, "seeds": "low_discrepancy", "seed": 4}),
+    "part of a pose": ("panda", {"collision": False, "task": jaxik.Task.position()}),
+    "a held joint": ("panda", {"collision": False, "locked": {"panda_joint3": 0.3}}),
+    "clear of itself": ("panda", {}),
+    "clear of itself, from seeds": ("ur5e", {"seeds": "library", "margin": 0.01}),
+    "clear of a scene": ("panda", {"scene": BALLS, "margin": 0.02}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_one_target_has_the_bits_of_its_row(case):
+    name, asked = CASES[case]
+    robot = jaxik.load(name)
+    asked = {**asked, "scene": jaxik.make_scene(spheres=asked["scene"])} if "scene" in asked else asked
+    _, targets = poses(robot, 40)
+    targets = np.concatenate([targets, [AWAY, np.zeros((4, 4))]])
+    batch, solver = jaxik.solve_ik(robot, targets, **asked), jaxik.Solver(robot, **asked)
+    assert batch.success.sum() >= 30
+    answered = 0
+    for target, row in zip(targets, batch, strict=True):
+        assert_same(solver(target), row)
+        answered += solver._world.direct(target) is not None
+    assert answered >= 0.9 * batch.success.sum()  # else it is no faster than the driver
+
+
+def test_answers_have_their_poses(panda):
+    _, targets = poses(panda, 50, seed=9)
+    solver, pose = jaxik.Solver(panda, collision=False), pinocchio(panda)
+    for target in targets:
+        found = solver(target)
+        assert found and max(pose_errors(pose(found.q), target)) <= 1e-6 + 1e-9
+        assert np.all(found.q >= panda.lower) and np.all(found.q <= panda.upper)
+
+
+def test_a_posture_is_where_the_search_begins(panda):
+    q, targets = poses(panda, 30)
+    begin = np.clip(q + 0.05, panda.lower, panda.upper)
+    solver = jaxik.Solver(panda, collision=False)
+    wanted = jaxik.solve_ik(panda, targets, collision=False, seeds="near", choice="first", reference=begin)
+    found = [solver(*each) for each in zip(targets, begin, strict=True)]
+    for one, row in zip(found, wanted, strict=True):
+        assert_same(one, row)
+    near = [np.abs(one.q - each).max() < 0.5 for one, each in zip(found, begin, strict=True)]
+    assert np.mean(near) > 0.8
+
+
+def test_the_world_changes_without_compiling(panda, world):
+    _, targets = poses(panda, 10)
+    solver = jaxik.Solver(panda, scene=world)
+    solver(targets[0])
+    other = jaxik.make_scene(spheres=[[*np.add(ball[:3], 0.1), ball[3]] for ball in BALLS] + [[0.0, 0.5, 0.3, 0.1]])
+    before = len(kernels._made)
+    solver.update(other)
+    direct = [solver._world.direct(target) for target in targets]
+    assert len(kernels._made) == before and solver.scene is other
+    wanted = jaxik.solve_ik(panda, targets, scene=other)
+    for target, found, row in zip(targets, direct, wanted, strict=True):
+        assert_same(solver(target), row)
+        assert found is None or np.array_equal(found.q, row.q)
+
+
+def test_calls_that_come_again_go_the_direct_way(panda, world, monkeypatch):
+    _, targets = poses(panda, 12)
+    wanted = jaxik.solve_ik(panda, targets, scene=world)
+    monkeypatch.setattr(remembered, "OFTEN", 3)
+    ways = []
+    monkeypatch.setattr(
+        "jaxik.ik.solve.answered_directly", lambda *given: ways.append(remembered.answered_directly(*given)) or ways[-1]
+    )
+    for _ in range(3):
+        for target, row in zip(targets, wanted, strict=True):
+            assert_same(jaxik.solve_ik(panda, target, scene=world), row)
+        for place in [k.place(world) for k in remembered._kinds().values() if k.robot is panda]:
+            if place.coming is not None:
+                place.coming.result()
+    assert ways[0] is None and sum(way is not None for way in ways[-12:]) == wanted.success.sum()
+
+
+def test_bad_options_are_refused_as_before(panda):
+    target = poses(panda, 1)[1][0]
+    for _ in range(3):
+        with pytest.raises(ValueError, match="collision"):
+            jaxik.solve_ik(panda, target, collision=0)
+        assert jaxik.solve_ik(panda, target, collision=False)
+
+
+def test_threads_share_a_solver(panda):
+    _, targets = poses(panda, 200)
+    solver = jaxik.Solver(panda, collision=False)
+    alone = [solver(target).q for target in targets]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda target: solver(target).q, np.concatenate([targets] * 5)))
+    assert np.array_equal(np.concatenate([alone] * 5), together)
+
+
+def test_a_solver_travels_to_another_process(panda, world):
+    target = poses(panda, 1)[1][0]
+    solver = jaxik.Solver(panda, scene=world, margin=0.01)
+    assert_same(pickle.loads(pickle.dumps(solver))(target), solver(target))
+
+
+def test_what_is_no_single_pose_is_the_drivers(panda):
+    _, targets = poses(panda, 3)
+    solver = jaxik.Solver(panda, collision=False)
+    assert len(solver(targets)) == 3
+    assert_same(solver(jnp.asarray(targets[0], np.float32)), jaxik.solve_ik(panda, np.float32(targets[0]), collision=False))
+    assert solver(np.full((4, 4), np.nan)).reason == Reason.INVALID
+    assert solver(AWAY).reason == Reason.OUT_OF_REACH
+    with pytest.raises(ValueError, match="targets have shape"):
+        solver(np.eye(3))
+    with pytest.raises(ValueError, match="posture"):
+        solver(targets[0], np.zeros(3))
+    with pytest.raises(ValueError, match="max_seed"):
+        jaxik.Solver(panda, max_seed=3)
+
+
+def test_without_a_compiler_the_driver_answers(panda, monkeypatch):
+    def refused(problem):
+        raise Unsupported("without llvmlite")
+
+    monkeypatch.setattr("jaxik.ik.solver.Direct", refused)
+    target = poses(panda, 1)[1][0]
+    solver = jaxik.Solver(panda, collision=False)
+    assert solver._world.direct is None
+    assert_same(solver(target), jaxik.solve_ik(panda, target[None], collision=False)[0])
+
+
+@pytest.mark.parametrize("asked", [{}, {"seeds": "library"}], ids=["by the closed form", "from seeds"])
+def test_the_search_is_a_pure_function(panda, asked):
+    _, targets = poses(panda, 20)
+    targets = np.concatenate([targets, [AWAY, np.full((4, 4), np.nan)]])
+    with jax.enable_x64(True):
+        find = jaxik.kernel(ik_search(panda, collision=False, **asked))
+        found = jax.jit(jax.vmap(find))(jnp.asarray(targets))
+    wanted = jaxik.solve_ik(panda, targets, collision=False, **asked)
+    assert np.array_equal(found.q[:20], wanted.q[:20]) and np.array_equal(found.seed[:20], wanted.seed[:20])
+    assert list(found.reason[20:]) == [Reason.NOT_CONVERGED, Reason.INVALID] and (found.reason[:20] == Reason.SOLVED).all()
+
+
+def test_the_search_near_a_posture_and_in_a_scene(panda, world):
+    q, targets = poses(panda, 20)
+    with jax.enable_x64(True):
+        find = jaxik.kernel(ik_search(panda, scene=world, seeds="near"))
+        found = jax.jit(jax.vmap(find))(jnp.asarray(targets), jnp.asarray(q))
+        clear = jax.jit(jax.vmap(lambda q: jaxik.clearance(panda, world, q)))(found.q)
+    wanted = jaxik.solve_ik(panda, targets, scene=world, seeds="near", choice="first", reference=q)
+    solved = np.asarray(found.reason) == Reason.SOLVED
+    assert solved.sum() >= 10 and (np.asarray(clear)[solved] >= -1e-12).all()
+    first = wanted.seed < 16
+    assert np.array_equal(np.asarray(found.q)[first & wanted.success], wanted.q[first & wanted.success])
+
+
+def test_the_search_says_what_it_does_not_take(panda):
+    with pytest.raises(ValueError, match="more than the first answer"):
+        ik_search(panda, collision=False, solutions=4)
+    with pytest.raises(ValueError, match="list of tasks"):
+        ik_search(panda, collision=False, task=[jaxik.Task.pose(tip="panda_link7")])
