@@ -71,14 +71,12 @@ class _Lanes:
         """The outputs, (lanes, size) each."""
         self._operations(self.program.top.body)
         self._flush()
-        each = lambda row: (
-            self.memory[row.memory.number] if isinstance(row, Whole) else self._stacked(list(map(self._row, row)))
-        )
-        return [each(row).T for row in self.program.outputs]
+        stacked = lambda row: jnp.stack(list(map(self._row, row)), 1) if row else jnp.zeros((self.count, 0))
+        return [self.memory[r.memory.number].T if isinstance(r, Whole) else stacked(r) for r in self.program.outputs]
 
     def _stacked(self, rows: Sequence[Any]) -> Any:
-        """The rows one below the other. Written one by one: XLA asks for each entry of a stack which row it is from."""
-        found = jnp.zeros((len(rows), self.count), rows[0].dtype) if rows else jnp.zeros((0, self.count))
+        """The rows one below the other, where loops read them. Written one by one, which XLA does in place there."""
+        found = jnp.zeros((len(rows), self.count), rows[0].dtype)
         for k, row in enumerate(rows):
             found = lax.dynamic_update_index_in_dim(found, row, k, 0)
         return found

@@ -214,7 +214,7 @@ def _in_lanes(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) 
         found = by_xla(scalarised(traced), operands, grid)
     except (Unsupported, RecursionError):
         return _by_xla(*args, traced=traced, batch=batch, masks=masks)
-    return [x.reshape(*batch, *a.shape) for x, a in zip(found, outputs, strict=True)]
+    return [x.reshape(*batch, *a.shape).astype(a.dtype) for x, a in zip(found, outputs, strict=True)]
 
 
 def _on_cpu(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
