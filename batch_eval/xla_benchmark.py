@@ -1,8 +1,8 @@
 """The path that each function takes, and its cost without kernels: `python batch_eval/xla_benchmark.py` writes a JSON.
 
 Every function of arms of six, seven and nine joints, in batches, by its kernel and by XLA alone on the same CPU, in which
-llvmlite counts as not installed. Each pair runs in a process of its own, in turns; what takes longer than `--limit` seconds is
-given up, and the table says so. Caches are off: compile times are those of compiling. Needs `pip install .`, no peers.
+llvmlite is hidden. Each runs in a process of its own, one after the other; what takes longer than `--limit` seconds is given
+up, and the table says so. Caches are off: compile times are those of compiling. Needs `pip install .`, no peers.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import functools
 import json
+import os
 import subprocess
 import sys
 import warnings
@@ -91,59 +92,53 @@ def configurations(name: str, count: int) -> np.ndarray:
     return np.random.default_rng(0).uniform(robot.lower, robot.upper, (count, robot.num_joints)).astype(np.float32)
 
 
-def without_kernels() -> None:
-    """From here on llvmlite is not there."""
-    sys.modules["llvmlite"] = None  # type: ignore[assignment]
-    sys.modules.pop("llvmlite.binding", None)
-    from jaxik.spmd import call, machine
-
-    call._made.clear()
-    machine.llvm.cache_clear()
-    jax.clear_caches()
-
-
 def measured(name: str, what: str, counts: tuple[int, ...]) -> dict[str, Any]:
-    """Rows a second and seconds of compiling of a function by both, and how far their results are apart."""
+    """Rows a second and seconds of compiling of a function, in batches, as this process has them: with kernels or without."""
     from_scratch()
     warnings.simplefilter("ignore")
     function = functions(name)[what]
     report = jaxik.spmd.describe(function, configurations(name, 1)[0])
-    batch = lambda q: jax.vmap(lambda q: function(q))(q)  # another function for each way: JAX is to trace it anew
-    entries: dict[str, list[Entry]] = {}
-    results: dict[str, list[Any]] = {}
-    for way in ("kernel", "xla"):
-        if way == "xla":
-            without_kernels()
-        runs = [(n, *compiled(lambda q: batch(q), jnp.asarray(configurations(name, n)))) for n in counts]
-        entries[way] = [Entry(way, n, run, seconds) for n, run, seconds in runs]
-        results[way] = [jax.tree_util.tree_leaves(run())[0] for _, run, _ in runs]
     row: dict[str, Any] = {"refused": report.refused, "operations": sum(report.operations.values()), "batches": {}}
-    for kernel, xla, a, b in zip(entries["kernel"], entries["xla"], results["kernel"], results["xla"], strict=True):
-        race([kernel, xla], rounds=7, least=0.02, most=4.0)
-        best = {each.who: each.count / min(each.times) for each in (kernel, xla)}
-        a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-        row["batches"][str(kernel.count)] = {
-            "kernel_per_second": best["kernel"],
-            "xla_per_second": best["xla"],
-            "ratio": best["kernel"] / best["xla"],
-            "kernel_compile_s": kernel.compile_s,
-            "xla_compile_s": xla.compile_s,
-            "apart": float(np.nanmedian(np.abs(a - b)) / max(float(np.nanmax(np.abs(a))), 1e-30)),
-        }
+    for n in counts:
+        run, seconds = compiled(jax.vmap(lambda q: function(q)), jnp.asarray(configurations(name, n)))
+        (entry,) = race([Entry(what, n, run, seconds)], rounds=5, least=0.02, most=2.0)
+        row["batches"][str(n)] = {"per_second": n / min(entry.times), "compile_s": seconds}
     return row
 
 
-def alone(name: str, what: str, counts: tuple[int, ...], limit: float) -> dict[str, Any]:
-    """The same in a process of its own, which may be given up."""
-    command = [sys.executable, __file__, "--one", name, what, "--batches", *map(str, counts)]
+def alone(way: str, name: str, what: str, counts: tuple[int, ...], limit: float) -> dict[str, Any]:
+    """The same in a process of its own, which may be given up; for "xla" llvmlite is hidden from it."""
+    hide = "import sys; sys.modules['llvmlite'] = None; " if way == "xla" else ""
+    asked = ["--one", name, what, "--batches", *map(str, counts)]
+    start = f"{hide}import sys, runpy; sys.argv[1:] = {asked!r}; runpy.run_path({__file__!r}, run_name='__main__')"
+    paths = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    command, around = [sys.executable, "-c", start], os.environ | {"PYTHONPATH": paths}
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=limit)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=limit, env=around)
     except subprocess.TimeoutExpired:
         return {"failed": f"over {limit:.0f} s"}
     if done.returncode:
         told = [line for line in done.stderr.splitlines() if "Error" in line]
         return {"failed": (told or ["the process ended"])[-1][:300]}
     return json.loads(done.stdout.splitlines()[-1])
+
+
+def both(name: str, what: str, counts: tuple[int, ...], limit: float) -> dict[str, Any]:
+    """A function with kernels and without, one after the other, and the ratio of their speeds."""
+    kernel, xla = (alone(way, name, what, counts, limit) for way in ("kernel", "xla"))
+    if "failed" in kernel or "failed" in xla:
+        return {"failed": kernel.get("failed") or xla["failed"]}
+    row = kernel | {"batches": {}}
+    for n, one in kernel["batches"].items():
+        other = xla["batches"][n]
+        row["batches"][n] = {
+            "kernel_per_second": one["per_second"],
+            "xla_per_second": other["per_second"],
+            "ratio": one["per_second"] / other["per_second"],
+            "kernel_compile_s": one["compile_s"],
+            "xla_compile_s": other["compile_s"],
+        }
+    return row
 
 
 def main() -> None:
@@ -165,7 +160,7 @@ def main() -> None:
         rows = result["arms"][name] = {}
         for what in functions(name):
             if arguments.only in what:
-                rows[what] = alone(name, what, counts, arguments.limit)
+                rows[what] = both(name, what, counts, arguments.limit)
                 print(name, what, json.dumps(rows[what]), flush=True)
                 arguments.out.write_text(json.dumps(result, indent=1) + "\n")
 
