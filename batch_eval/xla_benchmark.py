@@ -53,7 +53,7 @@ def scenes() -> dict[str, jaxik.Scene]:
 
 
 def functions(name: str) -> dict[str, Function]:
-    """What is measured of an arm."""
+    """The functions that are measured of an arm."""
     robot = with_bodies(jaxik.load(name))
     part = functools.partial
     pose = np.asarray(kinematics.forward_kinematics(robot, (np.asarray(robot.lower) + np.asarray(robot.upper)) / 2), np.float32)

@@ -9,7 +9,8 @@ from tables.words import ratio
 
 def xla_markdown(result: dict[str, Any]) -> str:
     """A row for each function: how many times as long XLA takes, by arm and batch; and the longest times of compiling."""
-    arms, batches = result["arms"], ("1", "1024", "16384")
+    arms = result["arms"]
+    batches = tuple(dict.fromkeys(n for rows in arms.values() for row in rows.values() for n in row.get("batches", ())))
     names = list(dict.fromkeys(name for rows in arms.values() for name in rows))
     heads = [f"{arm}: batch of {', '.join(f'{int(n):,}' for n in batches)}" for arm in arms]
     lines = [f"| function | path | {' | '.join(heads)} | compiled in: kernel, XLA |", "| --- " * (3 + len(arms)) + "|"]

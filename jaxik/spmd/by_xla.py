@@ -158,7 +158,7 @@ class _Lanes:
             self._wait(v, op.code, op.args)
 
     def _numbers(self, memory: Memory) -> Any:
-        """What lies in a memory: (size, lanes), or (size, 1) where all lanes have it in common."""
+        """The numbers of a memory: (size, lanes), or (size, 1) where all lanes have it in common."""
         if memory.kind == "operand":
             return self.operands[memory.number]
         if memory.kind == "constant":

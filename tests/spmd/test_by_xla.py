@@ -137,7 +137,7 @@ def test_compensated_sums_stay_so(name, of):
 
 
 def test_nothing_is_computed_twice():
-    """What XLA makes of a program has no more instructions than the program and what reads its rows."""
+    """XLA's own program has no more instructions than ours, and those that read and write rows."""
     robot = jaxik.load("crops_v2")
     function = lambda q: jaxik.dynamics.mass_matrix(robot, q)
     q = jnp.asarray(RNG.uniform(robot.lower, robot.upper, (64, 9)))
