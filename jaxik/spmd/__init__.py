@@ -10,9 +10,11 @@ It knows no robot. In the order in which a function passes through: `trace` (to 
 is needed and what varies by `liveness`, names, loads and stores by `memory`, instructions by `arithmetic`, all written as
 `text`), `handler` (what XLA calls), `denormals` and `threads`, `machine` (machine code), `call` (kept in memory and on disk),
 `primitive` (batches, derivatives where `tangents` are linear, lowering). A later process needs no trace where `trace_records`
-know a function by its `content`. `host` calls a kernel on NumPy arrays, `repeated` does so again and again on arrays of the
-same shapes, `handle` for a function of trees of them, and `control_loop` for one with a state, sample by sample; `describe`
-says what was made of a function. `docs/kernels.md` tells it from the beginning.
+know a function by its `content`. Without llvmlite a CPU gets the program `by_xla`, in `windows` over the batch.
+
+`host` calls a kernel on NumPy arrays, `repeated` does so again and again on arrays of the same shapes, `handle` for a function
+of trees of them, and `control_loop` for one with a state, sample by sample; `describe` says what was made of a function.
+`docs/kernels.md` tells it from the beginning.
 """
 
 from jaxik.spmd import jax_version as jax_version  # first: it may refuse
