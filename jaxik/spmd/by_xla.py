@@ -34,7 +34,7 @@ def by_xla(program: Program, operands: Sequence[Any], grid: tuple[int, int]) -> 
     own = [x.shape[:2] != (1, 1) or (lanes == 1 and x.shape[2] <= 16) for x in operands]
     shared = [None if each else x.reshape(-1, 1) for x, each in zip(operands, own, strict=True)]
     rows = [jnp.broadcast_to(x, (*grid, x.shape[2])).reshape(lanes, -1) for x, each in zip(operands, own, strict=True) if each]
-    live = Liveness(program, [not each for each in own])
+    live = Liveness(program, [not each for each in own], one_row=False)
     users = users_of(program, live)
 
     def block(rows: Sequence[Any]) -> list[Any]:
