@@ -2,10 +2,10 @@
 
 Here is what everybody needs; the rest is in the packages, which are there after `import jaxik`: `kinematics`,
 `dynamics`, `analytic`, `homotopy`, `collision`, `costs`, `fitting`, `files`, `ik`, `motions`, `planning`, `identification`,
-`estimation`, `touch`, `teleoperation`, `reach`, `harvesting`, `sweeps`, `view`, and, knowing no robot, `spatial`, `optimise`
-and `spmd`. Each docstring says where its function runs: "Traced." takes
-one configuration, and is for `jit`, `vmap` and `grad`; "Host driver." takes many, chunks and pads them, and gives NumPy;
-"Host." runs once, outside of JAX's transformations.
+`estimation`, `touch`, `teleoperation`, `reach`, `harvesting`, `sweeps`, `view`, `codegen`, and, knowing no robot, `spatial`,
+`optimise` and `spmd`. Each docstring says where its function runs: "Traced." takes one configuration, and is for `jit`, `vmap`
+and `grad`; "Host driver." takes many, chunks and pads them, and gives NumPy; "Host." runs once, outside of JAX's
+transformations.
 """
 
 import importlib
@@ -30,8 +30,9 @@ with _uncollected():
     from jaxik.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from jaxik import estimation, harvesting, identification, motions, planning, reach, sweeps, teleoperation, touch
+    from jaxik import codegen, estimation, harvesting, identification, motions, planning, reach, sweeps, teleoperation, touch
     from jaxik import view as view
+    from jaxik.codegen import export
     from jaxik.harvesting import harvest
     from jaxik.motions import follow, predict
     from jaxik.planning import plan_motion, plan_path
@@ -50,12 +51,14 @@ __all__ = [
     "analytic",
     "clearance",
     "closed_form",
+    "codegen",
     "collides",
     "collision",
     "costs",
     "dynamics",
     "estimation",
     "explain",
+    "export",
     "files",
     "fitting",
     "follow",
@@ -93,6 +96,7 @@ __all__ = [
 ]
 
 _LATE = {  # packages that wait until they are asked for, and what stands here of them: a quarter of the import
+    "codegen": "export",
     "estimation": "",
     "harvesting": "harvest",
     "identification": "",

@@ -1,5 +1,5 @@
 """The commands: `jaxik harvest`, `jaxik ik`, `jaxik plan`, `jaxik path`, `jaxik dynamics`, `jaxik sweep`, `jaxik base`,
-`jaxik fit`, `jaxik view`."""
+`jaxik fit`, `jaxik export`, `jaxik view`."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import tyro
 import jaxik
 from jaxik.cli.base import BaseArguments
 from jaxik.cli.dynamics import DynamicsArguments
+from jaxik.cli.export import ExportArguments
 from jaxik.cli.fit import FitArguments
 from jaxik.cli.harvest import HarvestArguments
 from jaxik.cli.ik import IKArguments
@@ -43,6 +44,7 @@ COMMANDS = {
     "sweep": SweepArguments,
     "base": BaseArguments,
     "fit": FitArguments,
+    "export": ExportArguments,
     "view": ViewArguments,
     "about": _About,
 }

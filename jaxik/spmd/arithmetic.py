@@ -45,6 +45,8 @@ def instruction(t: Text, e: Expression) -> str:
         return f"{table[e.code]} {shape} {names[0]}, {names[1]}"
     if e.code in COMPARISONS:
         return _comparison(e.code, e.source, t.shape(e.source, e.wide), names)
+    if e.code in INTRINSICS and INTRINSICS[e.code] in t.without:
+        return _rounded(t, e)
     if e.code in INTRINSICS:
         return t.intrinsic(INTRINSICS[e.code], e.type, e.wide, names)
     if e.code.startswith(LIBRARY):
@@ -125,6 +127,29 @@ def _beside_zero(t: Text, e: Expression, found: str, known: Any) -> str:
         return found
     size = t.intrinsic("fabs", e.type, e.wide, [t.assign(found)])
     return size if e.code == "max" else f"fneg {t.shape(e.type, e.wide)} {t.assign(size)}"
+
+
+def _rounded(t: Text, e: Expression) -> str:
+    """A whole number by a processor that has no instruction for it: what is added and taken away again leaves no room for a
+    fraction. From that number on all floats are whole; the sign is that of the operand, of zeros too."""
+    shape, (x,) = t.shape(e.type, e.wide), e.names
+    number = lambda value: t.constant(value, e.type, e.wide)
+    take = lambda text: t.assign(f"{text}")
+    size = take(t.intrinsic("fabs", e.type, e.wide, [x]))
+    large = number(2.0 ** (23 if e.type == "float" else 52))
+    whole = take(f"fsub {shape} {take(f'fadd {shape} {size}, {large}')}, {large}")
+    choose = lambda order, a, b, yes: take(_select(t, e, take(f"fcmp {order} {shape} {a}, {b}"), yes, number(0.0)))
+    if e.code != "rint":
+        whole = take(f"fsub {shape} {whole}, {choose('ogt', whole, size, number(1.0))}")
+    rest = take(f"fsub {shape} {size}, {whole}")
+    if e.code == "round":
+        whole = take(f"fadd {shape} {whole}, {choose('oge', rest, number(0.5), number(1.0))}")
+    if e.code in ("floor", "ceil"):  # away from zero where there is a rest, on that side
+        side = "olt" if e.code == "floor" else "ogt"
+        up = choose(side, x, number(0.0), choose("ogt", rest, number(0.0), number(1.0)))
+        whole = take(f"fadd {shape} {whole}, {up}")
+    inside = take(f"fcmp olt {shape} {size}, {large}")
+    return _select(t, e, inside, take(t.intrinsic("copysign", e.type, e.wide, [whole, x])), x)
 
 
 def _convert(t: Text, e: Expression) -> str:

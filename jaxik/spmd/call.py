@@ -65,7 +65,7 @@ def plan(traced: Traced, shared: tuple[bool, ...], name: str) -> Plan:
     rows_out = [row(a, False) for a in traced.outputs]
     wide = any(op.type == "double" for op in program.ops)
     width = TEAM_SIZE if program.team else machine.vector_bits() // (64 if wide else 32)
-    emitter = Emitter(program, [program.team or each for each in shared], width)
+    emitter = Emitter(program, shared, width)
     text = emitter.function()
     rows = 1 if program.team else width
     needed = emitter.live.needed

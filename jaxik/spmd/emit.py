@@ -8,7 +8,7 @@ same bits.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -22,12 +22,14 @@ Block = tuple[int, int, int]  # of an output: its number, the first of the colum
 
 
 class Emitter:
-    """The text of `lanes(ptr ins, ptr outs)`: one vector of rows, whose addresses are in the two tables."""
+    """The text of a function that takes one vector of rows, or one row: of a team, or alone in scalars where `width` is 1. Some
+    processors are `without` instructions for some intrinsics of LLVM's, which are then made of others."""
 
-    def __init__(self, program: Program, shared: Sequence[bool], width: int):
+    def __init__(self, program: Program, shared: Sequence[bool], width: int, without: Collection[str] = ()):
+        one_row = program.team or width == 1
         self.program, self.operands = program, len(shared)
-        self.live = Liveness(program, shared)
-        self.text = Text(width)
+        self.live = Liveness(program, [one_row or each for each in shared], one_row)
+        self.text = Text(width, without)
         self.values = Values(program, self.live, self.text)
         self.memory = Accesses(self.values)
         self.taking_part: str | None = None  # the lanes that do, where not all do
@@ -36,7 +38,18 @@ class Emitter:
     # The whole
 
     def function(self) -> str:
-        """`define internal void @lanes(ptr %ins, ptr %outs)`, tables and declarations."""
+        """`define internal void @lanes(ptr %ins, ptr %outs)`, with addresses in two tables; constants and declarations."""
+        body = self.body()
+        scratch, released = buffers(self.scratch())
+        head = ["define internal void @lanes(ptr noalias %ins, ptr noalias %outs) #0 {", "entry:"]
+        for kind, count in (("in", self.operands), ("out", len(self.program.outputs))):
+            for k in range(count):
+                head.append(f"  %{kind}p{k} = getelementptr ptr, ptr %{kind}s, i64 {k}")
+                head.append(f"  %{kind}{k} = load ptr, ptr %{kind}p{k}, !invariant.load !0")
+        return "\n".join([*head, *scratch, *body, *released, "  ret void", "}", *self.constants()])
+
+    def body(self) -> list[str]:
+        """The lines between those that name the operands `%in0`, ..., the results `%out0`, ... and `scratch`, and the last."""
         t, due = self.text, self._due()
         for block in due.get(-1, ()):
             self._output(*block)
@@ -45,16 +58,11 @@ class Emitter:
                 self._operation(v)
                 for block in due.get(v, ()):
                     self._output(*block)
-        scratch, released = buffers(self._scratch())
-        t.lines += released
-        t.line("ret void")
-        head = ["define internal void @lanes(ptr noalias %ins, ptr noalias %outs) #0 {", "entry:"]
-        for kind, count in (("in", self.operands), ("out", len(self.program.outputs))):
-            for k in range(count):
-                head.append(f"  %{kind}p{k} = getelementptr ptr, ptr %{kind}s, i64 {k}")
-                head.append(f"  %{kind}{k} = load ptr, ptr %{kind}p{k}, !invariant.load !0")
-        tables = [_table(k, numbers) for k, numbers in enumerate(self.program.tables)]
-        return "\n".join([*head, *scratch, *self.memory.entry, *t.lines, "}", *tables, *sorted(t.declared)])
+        return [*self.memory.entry, *t.lines]
+
+    def constants(self) -> list[str]:
+        """The program's tables, and declarations of what the body calls."""
+        return [*(_table(k, numbers) for k, numbers in enumerate(self.program.tables)), *sorted(self.text.declared)]
 
     def _due(self) -> dict[int, list[Block]]:
         """The last value that a block of output columns waits for (-1: none), and the blocks: written as soon as they can be,
@@ -71,7 +79,7 @@ class Emitter:
                 due.setdefault(last, []).append((number, first, count))
         return due
 
-    def _scratch(self) -> list[tuple[str, int]]:
+    def scratch(self) -> list[tuple[str, int]]:
         """Names and sizes [bytes] of what is written to."""
         ops = (self.program.ops[v] for v in self.live.needed)
         used = sorted({op.args.memory.number for op in ops if op.code == "store"})
@@ -84,7 +92,7 @@ class Emitter:
             self._copied(number, row.memory)
             return
         block = row[first : first + count]
-        if self.program.team:
+        if self.live.one_row:
             self._common(number, first, block)
             return
         kind = values.kind(block[0])
@@ -92,7 +100,7 @@ class Emitter:
         write_rows(self.text, f"%out{number}", len(row), first, columns, stored(kind))
 
     def _common(self, number: int, first: int, block: Sequence[int]) -> None:
-        """Numbers that the lanes of a team have in common, into its row."""
+        """Numbers that the lanes of one row have in common, into it."""
         t = self.text
         for k, v in enumerate(block):
             if self.values.is_wide(v):
@@ -103,7 +111,7 @@ class Emitter:
 
     def _copied(self, number: int, memory: Memory) -> None:
         """A lane's scratch into its row, in a loop over a few columns at a time; the last may have been copied before."""
-        if self.program.team:
+        if self.live.one_row:
             if memory.number not in self.live.common:
                 raise Unsupported("a team's result that is not the same in all lanes")
             size = memory.size * BYTES[memory.type]

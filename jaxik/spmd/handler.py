@@ -9,11 +9,11 @@ and this one take in turn; the last to leave frees what they share. Buffers othe
 
 from __future__ import annotations
 
-import platform
 import sys
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from jaxik.spmd.denormals import FLUSHES
 from jaxik.spmd.text import BYTES, Lines, buffers
 from jaxik.spmd.threads import API, DONE, FIRST, INNER, NEXT, TOTAL, VECTORS, parallel, work
 
@@ -27,40 +27,6 @@ DATA_TYPES = {"i1": 1, "i8": 2, "i16": 3, "i32": 4, "i64": 5, "u8": 6, "u16": 7,
 LARGE, MADV_HUGEPAGE = 1 << 22, 14  # bytes of a result for which Linux is asked for large pages
 
 REFUSAL = "jaxik: a kernel's operands or results have another type or shape than it was made for"
-
-
-class Platform(NamedTuple):
-    """Lines that depend on the machine: what is said before, after, and outside of functions."""
-
-    begin: tuple[str, ...] = ()
-    end: tuple[str, ...] = ()
-    declared: tuple[str, ...] = ()
-
-
-_X86 = Platform(
-    (
-        "%state = alloca i32",
-        "%flushing = alloca i32",
-        "call void @llvm.x86.sse.stmxcsr(ptr %state)",
-        "%csr = load i32, ptr %state",
-        f"%csr1 = or i32 %csr, {1 << 15 | 1 << 6}",
-        "store i32 %csr1, ptr %flushing",
-        "call void @llvm.x86.sse.ldmxcsr(ptr %flushing)",
-    ),
-    ("call void @llvm.x86.sse.ldmxcsr(ptr %state)",),
-    ("declare void @llvm.x86.sse.stmxcsr(ptr)", "declare void @llvm.x86.sse.ldmxcsr(ptr)"),
-)
-_ARM = Platform(
-    (
-        "%state = call i64 @llvm.aarch64.get.fpcr()",
-        f"%flushing = or i64 %state, {1 << 24}",
-        "call void @llvm.aarch64.set.fpcr(i64 %flushing)",
-    ),
-    ("call void @llvm.aarch64.set.fpcr(i64 %state)",),
-    ("declare i64 @llvm.aarch64.get.fpcr()", "declare void @llvm.aarch64.set.fpcr(i64)"),
-)
-# Denormals count as 0, as XLA has it on its threads, on whichever thread this runs; before that is as it was after.
-FLUSHES = {"x86_64": _X86, "amd64": _X86, "aarch64": _ARM, "arm64": _ARM}.get(platform.machine().lower(), Platform())
 
 
 class Row(NamedTuple):
@@ -122,7 +88,7 @@ def _range(rows_in: Sequence[Row], rows_out: Sequence[Row], width: int) -> str:
     t.line("%next_turn = add i64 %turn, 1", "%more = icmp ult i64 %next_turn, %end", "br i1 %more, label %next, label %out")
     t.start("out")
     t.lines += released
-    t.line(*FLUSHES.end, "ret void")
+    t.line(*FLUSHES.restore, "ret void")
     return "\n".join([*t.lines, "}"])
 
 

@@ -9,17 +9,18 @@ from jaxik.spmd.program import Load, Loop, Program, Store, Whole
 
 class Liveness:
     """`needed` operations, those of them that are `varying` from lane to lane, and of each loop or branch the numbers of its
-    `results` that are needed. `shared` says which operands all lanes have in common."""
+    `results` that are needed. `shared` says which operands all lanes have in common; on `one_row` the lanes work together, or
+    there is but one."""
 
-    def __init__(self, program: Program, shared: Sequence[bool]):
-        self.program, self.shared = program, shared
+    def __init__(self, program: Program, shared: Sequence[bool], one_row: bool):
+        self.program, self.shared, self.one_row = program, shared, one_row
         self.needed: set[int] = set()
         self.varying: set[int] = set()
         self.results: dict[int, set[int]] = {}
         self._around: dict[int, int] = {}  # operation -> the loop or branch that it stands in
         self._params: dict[int, tuple[int, int]] = {}  # a loop's parameter -> the loop and its number
         self._stores: dict[int, list[int]] = {}  # scratch -> what writes to it
-        self.common: set[int] = set()  # scratch that the lanes of a team have in common
+        self.common: set[int] = set()  # scratch that the lanes of one row have in common
         self._survey(program.top.body)
         self._mark()
         while self._spread():
@@ -85,7 +86,7 @@ class Liveness:
     def _spread(self) -> bool:
         """Marks what varies since what it is made of does; whether there was anything new: a loop carries it back."""
         before = len(self.varying)
-        self.common = {k for k, stores in self._stores.items() if self.program.team and not any(map(self._differs, stores))}
+        self.common = {k for k, stores in self._stores.items() if self.one_row and not any(map(self._differs, stores))}
         for v in sorted(self.needed - self.varying):
             if self._varies(v):
                 self.varying.add(v)

@@ -56,7 +56,7 @@ class Values:
         found: set[int] = set()
         for v in self.live.needed:
             found |= self._asks(v)
-        if self.program.team:  # whose results are numbers that all lanes have
+        if self.live.one_row:  # whose results are numbers that all lanes have
             return found
         return found.union(*(row for row in self.program.outputs if not isinstance(row, Whole)))
 

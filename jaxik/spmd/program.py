@@ -42,7 +42,12 @@ def limits(dtype: np.dtype[Any]) -> tuple[Any, Any]:
 
 
 class Unsupported(NotImplementedError):  # noqa: N818 - of functions that are in order, and run elsewhere
-    """The error of what a kernel cannot do; one line names it. `HostKernel.run` raises it, `kernel` warns and goes to XLA."""
+    """The error of what a kernel cannot do; one line names it. `HostKernel.run` raises it, `kernel` warns and goes to XLA. The
+    `equations` of the jaxprs that it stands in, the innermost first, say where in a source that is."""
+
+    def __init__(self, what: str = ""):
+        super().__init__(what)
+        self.equations: list[Any] = []
 
 
 class Op(NamedTuple):

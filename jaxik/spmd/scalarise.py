@@ -84,11 +84,17 @@ def _type_of(dtype: Any) -> str:
     return name
 
 
-def scalarised(traced: Traced) -> Program:
-    """The program of a function; its operands are the function's. Raises `Unsupported`."""
+def scalarised(traced: Traced, tables: Sequence[np.ndarray] = ()) -> Program:
+    """The program of a function; its operands are the function's, but that the last are `tables` of constants. Raises
+    `Unsupported`, with the `equations` that it was in."""
     s, operands = Scalariser(Program()), []
+    known = dict(zip(range(len(traced.inputs) - len(tables), len(traced.inputs)), tables, strict=True))
     for number, aval in enumerate(traced.inputs):
         kind = type_of(aval)
+        if number in known:
+            table = np.ascontiguousarray(known[number], aval.dtype)
+            operands.append(Array(np.arange(table.size).reshape(aval.shape), kind, s.program.table(table)))
+            continue
         memory = Memory("operand", number, kind, int(np.prod(aval.shape)))
         operands.append(Array(np.arange(memory.size).reshape(aval.shape), kind, memory))
     s.program.outputs = [s.output(x) for x in s.traced(traced, operands)]
@@ -112,13 +118,14 @@ class Scalariser:
             env[var] = value
         read = lambda v: self.known(v.val, v.aval) if isinstance(v, Literal) else env[v]
         for eqn in jaxpr.eqns:
-            rule = RULES.get(eqn.primitive.name)
-            if rule is None:
-                raise Unsupported(f"the primitive '{eqn.primitive.name}'")
             if self.tangents is not None:
                 moves = bool(self.tangents) and any(not isinstance(v, Literal) and v in self.tangents for v in eqn.invars)
                 self.program.structural = moves
-            results = rule(self, eqn, *map(read, eqn.invars))
+            try:
+                results = RULES.get(eqn.primitive.name, _refused)(self, eqn, *map(read, eqn.invars))
+            except Unsupported as error:
+                error.equations.append(eqn)
+                raise
             if len(self.program.ops) > MOST:
                 raise Unsupported(f"more than {MOST} operations")
             if not eqn.primitive.multiple_results:
@@ -382,6 +389,10 @@ def rule(*names: str) -> Callable[[Rule], Rule]:
         return function
 
     return register
+
+
+def _refused(_: Scalariser, eqn: Any, *arrays: Array) -> Any:
+    raise Unsupported(f"the primitive '{eqn.primitive.name}'")
 
 
 def fixed_part(place: Sequence[Index]) -> tuple[int, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 from jaxik.spmd.program import FLOATS
@@ -103,11 +103,12 @@ class Lines:
 
 class Text(Lines):
     """The text of a function over vectors of `width` lanes. `kind` is a type as a `Program` has it, or as it is `stored`;
-    `wide` says whether a value is a vector, with an entry a lane, or a scalar that all lanes share."""
+    `wide` says whether a value is a vector, with an entry a lane, or a scalar that all lanes share. Intrinsics that the
+    processor is `without` are not called."""
 
-    def __init__(self, width: int):
+    def __init__(self, width: int, without: Collection[str] = ()):
         super().__init__()
-        self.width = width
+        self.width, self.without = width, without
         self.declared: set[str] = set()
 
     def vector(self, kind: str) -> str:

@@ -1,0 +1,90 @@
+"""`jaxik.export`: a function as machine code for programs without Python."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxik.codegen.archive import Member, archive
+from jaxik.codegen.functions import Function, check_name, function_of
+from jaxik.codegen.header import header
+from jaxik.codegen.python_loader import linked, loader
+from jaxik.codegen.webassembly import javascript, module
+
+
+@dataclasses.dataclass(frozen=True)
+class Exported:
+    """The functions that were exported, and the files that hold them; `sizes` are the bytes of their machine code."""
+
+    name: str
+    functions: tuple[Function, ...]
+    files: tuple[Path, ...]
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        return {each.name: len(each.image) for each in self.functions}
+
+
+def export(
+    function: Callable[..., Any],
+    signature: Sequence[Any],
+    path: str | Path,
+    *,
+    target: str = "native",
+    name: str | None = None,
+    double: bool = False,
+    results: Sequence[str] = (),
+    words: Mapping[str, str] | None = None,
+    shared: Collection[str] = (),
+    python: bool = False,
+) -> Exported:
+    """Writes a function of one configuration as machine code that C, C++, Python without JAX, or a browser calls. Host.
+
+        robot = jaxik.load("panda")
+        jaxik.export(lambda q: jaxik.forward_kinematics(robot, q), (np.zeros(7),), "panda", name="panda_pose", results=["pose"])
+
+    `function` is pure, as for `jaxik.kernel`; a robot is folded in where the function closes over it. `signature` is a tuple
+    with an example of each argument of one configuration, pytrees of arrays or of `jax.ShapeDtypeStruct`: only shapes and types
+    count. Floats are `float`, or `double`; integers have at most 32 bits. The folder `path` then holds, for the `target`
+    (`native`, `x86-64`, `x86-64-v3`, `x86-64-v4`, `aarch64`, `wasm32`):
+
+    - `NAME.h`, with `NAME` of one configuration and `NAME_batch` of many, `NAME.o` and the static library `libNAME.a`, position
+      independent: they allocate nothing, know no globals but constants, and are safe in threads;
+    - with `python=True` the shared library `libNAME.so` and `NAME.py`, which calls it on NumPy arrays; a C compiler links it;
+    - for `wasm32`, `NAME.wasm` and `NAME.mjs`, which calls it on arrays of JavaScript.
+
+    `name` is the function's own unless it is told. `results` name what is returned, `words` tell of arguments and results by
+    their names, with units, and of the function by its own; `shared` names the arguments that a batch has once. Results have
+    the bits of `jaxik.kernel` on the same processor.
+
+    Raises `ValueError`, in one line, for what a kernel cannot do, with the operation and its place in the source; for an
+    unknown target, a signature that does not fit and names that C has not free; and where a linker is missing.
+    """
+    name = name or getattr(function, "__name__", "").strip("<>") or "function"
+    made = function_of(
+        function, signature, name=name, target_name=target, double=double, results=results, words=words, shared=shared
+    )
+    return write_library(name, [made], Path(path), python=python)
+
+
+def write_library(
+    name: str, functions: Sequence[Function], folder: Path, *, words: str = "", python: bool = False, apart: bool = True
+) -> Exported:
+    """Writes functions of one target as a library called `name`: header, static library, the object files `apart`, and what
+    Python or a browser needs. Raises `ValueError`. Host."""
+    check_name(name)
+    files: dict[str, bytes] = {f"{name}.h": header(name, functions, words).encode()}
+    members = [Member(f"{each.name}.o", each.image, each.symbols) for each in functions]
+    files[f"lib{name}.a"] = archive(members)
+    if apart:
+        files |= {each.name: each.image for each in members}
+    if functions[0].target == "wasm32":
+        files |= {f"{name}.wasm": module(functions), f"{name}.mjs": javascript(name, functions).encode()}
+    if python:
+        files |= {f"lib{name}.so": linked(name, functions), f"{name}.py": loader(name, functions, words).encode()}
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, content in files.items():
+        (folder / file).write_bytes(content)
+    return Exported(name, tuple(functions), tuple(folder / file for file in files))

@@ -1,0 +1,98 @@
+"""How far a robot is from spheres that are told at run time, as a camera sees them: sixteen of them at once.
+
+`clearance` of a scene skips what is far away, and its lanes are configurations. One configuration alone would be in one lane:
+here lanes are the spheres, and the pairs of the robot's own volumes, and all are measured.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Float
+
+from jaxik.checks.arrays import Array
+from jaxik.collision import bvh
+from jaxik.collision.clearances import check_geometry
+from jaxik.collision.leaf_rows import row_at
+from jaxik.collision.nearest_pair import Space
+from jaxik.collision.shape_distances import skeleton_gap
+from jaxik.kinematics.robot import Robot, as_configuration
+from jaxik.spatial.algebra import Vec3
+from jaxik.spmd import TEAM, kernel, team
+from jaxik.spmd.trace import TEAM_SIZE
+
+
+def clearance_to_spheres(
+    robot: Robot, q: Float[Array, " n"], spheres: Float[Array, "m 4"], count: Any = None
+) -> Float[jax.Array, ""]:
+    """The smallest signed distance of the robot to spheres and to itself [m]: `clearance` of a scene of spheres, for one
+    configuration and spheres that change from call to call. Traced.
+
+    `spheres` (m, 4) are centres and radii [m, world]; of these the first `count` are there, all unless it is told. NaN in them
+    or in `q` gives NaN. Raises `ValueError` for a robot without collision geometry.
+    """
+    check_geometry(robot)
+    q, around = as_configuration(robot, q), bvh.grouped(None, robot)
+    spheres = jnp.asarray(spheres, q.dtype)
+    return _clearance_to_spheres(robot, around, q, spheres, jnp.int32(len(spheres) if count is None else count))
+
+
+@kernel(models=1)
+def _clearance_to_spheres(robot: Robot, around: Any, q: Any, spheres: Any, count: Any) -> Any:
+    space = Space(robot, around, q)
+    pairs = _own_pairs(space)
+    start = space.all().distance if pairs is None else jnp.asarray(jnp.inf, q.dtype)
+
+    def lane(spheres: Any, count: Any, start: Any) -> Any:
+        me = lax.axis_index(TEAM).astype(jnp.int32)
+
+        def some(k: Any, so_far: Any) -> Any:
+            least, unsound = so_far
+            row = lax.dynamic_index_in_dim(spheres, jnp.minimum(k * TEAM_SIZE + me, count - 1), keepdims=False)
+            sphere = (Vec3(row[0], row[1], row[2]),), row[3]
+            for volumes in space.placed:
+                far = lambda j, least, v=volumes.volumes: _less(skeleton_gap(row_at(v, j), sphere), least)
+                least = lax.fori_loop(jnp.int32(0), jnp.int32(len(volumes.volumes[1])), far, least)
+            return least, unsound + 0.0 * (row[0] + row[1] + row[2] + row[3])
+
+        vectors = (count + TEAM_SIZE - 1) // TEAM_SIZE
+        least, unsound = lax.fori_loop(jnp.int32(0), vectors, some, (start, 0.0 * jnp.sum(q)))
+        least = least if pairs is None else _less(_of_pairs(space, pairs, me), least)
+        return lax.pmin(least + unsound, TEAM)
+
+    return team(lane)(spheres, count, start)
+
+
+def _less(distance: Any, least: Any) -> Any:
+    """The smaller of two. Not by `minimum`, which minds NaN: that costs three times as much."""
+    return jnp.where(distance < least, distance, least)
+
+
+def _own_pairs(space: Space) -> np.ndarray | None:
+    """The pairs of the robot's volumes (2, k, lanes) that are measured against each other; None where more than their distance
+    counts, or they are of several kinds."""
+    trees = space.trees
+    if space.own is not None or space.tabled or len(trees.kinds) > 1:
+        return None
+    (kind,) = trees.kinds
+    of = [range(first * kind.size, last * kind.size) for first, last in zip(kind.first, kind.last, strict=True)]
+    found = [(i, j) for p, o in zip(trees.part, trees.other, strict=True) for i in of[int(p)] for j in of[int(o)]]
+    if not found:
+        return np.zeros((2, 0, TEAM_SIZE), np.int32)
+    found += found[-1:] * (-len(found) % TEAM_SIZE)
+    return np.array(found, np.int32).T.reshape(2, -1, TEAM_SIZE)
+
+
+def _of_pairs(space: Space, pairs: np.ndarray, me: Any) -> Any:
+    """The least distance of a lane's pairs."""
+    volumes = space.placed[0].volumes
+
+    def pair(k: Any, least: Any) -> Any:
+        i, j = (lax.dynamic_index_in_dim(lax.dynamic_index_in_dim(x, k, keepdims=False), me, keepdims=False) for x in pairs)
+        return _less(skeleton_gap(row_at(volumes, i), row_at(volumes, j)), least)
+
+    return lax.fori_loop(jnp.int32(0), jnp.int32(pairs.shape[1]), pair, jnp.asarray(jnp.inf, space.dtype))

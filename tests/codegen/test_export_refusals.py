@@ -1,0 +1,107 @@
+"""What cannot be exported is told in one line, with the operation, its place and the mend."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxik
+from jaxik.codegen import export_robot
+
+
+def calls_back(x):
+    return jax.pure_callback(np.sin, jax.ShapeDtypeStruct((), np.float32), x)
+
+
+def prints(x):
+    jax.debug.print("{}", x)
+    return x
+
+
+def picks(x):
+    return jnp.sum(x[x > 0])
+
+
+def branches(x):
+    return x if x > 0 else -x
+
+
+def draws(x):
+    return x + jax.random.normal(jax.random.key(0))
+
+
+def takes_a_key(x):
+    return x
+
+
+def splits(x):
+    return jnp.linalg.svd(jnp.outer(x, x))[1]
+
+
+def two(x, y):
+    return x + y
+
+
+CASES = {
+    "a host callback": (
+        calls_back,
+        (0.0,),
+        {},
+        r"calls_back: .*'pure_callback' \(test_export_refusals.py, line \d+\); compute it",
+    ),
+    "a print": (prints, (0.0,), {}, r"prints: .*'debug_print' \(test_export_refusals.py, line \d+\)|prints: .*callback"),
+    "a dynamic shape": (
+        picks,
+        (np.zeros(3),),
+        {},
+        r"picks: .* shape .*\(test_export_refusals.py, line \d+\); write arrays of fixed",
+    ),
+    "a branch": (branches, (0.0,), {}, r"branches: .* branch that depends on values \(test_export_refusals.py, line \d+\)"),
+    "a random number": (draws, (0.0,), {}, r"draws: .*'random_\w+' \(test_export_refusals.py, line \d+\); draw random numbers"),
+    "a key": (takes_a_key, (jax.eval_shape(jax.random.key, 0),), {}, r"takes_a_key: a random key is no number of C; draw"),
+    "no kernel": (
+        splits,
+        (np.zeros(3),),
+        {},
+        r"splits: a kernel cannot do the primitive 'svd' \(test_export_refusals.py, line \d+\)",
+    ),
+    "too few": (two, (0.0,), {}, "two: does not take such a signature: missing a required argument: 'y'"),
+    "shapes": (
+        two,
+        (np.zeros(3), np.zeros(2)),
+        {},
+        r"two: does not take such a signature \(test_export_refusals.py, line \d+\): ",
+    ),
+    "no tuple": (two, 0.0, {}, "two: signature is a float; write a tuple"),
+    "objects": (two, ("a", "b"), {}, "two: an argument of type"),
+    "complex": (two, (1j, 1j), {}, "two: an argument of type complex128"),
+    "a target": (two, (0.0, 0.0), {"target": "z80"}, "target 'z80' is not known; choose one of native, x86-64, "),
+    "a name": (two, (0.0, 0.0), {"name": "2nd"}, "'2nd' is no name that C has free"),
+    "a word of C": (two, (0.0, 0.0), {"name": "double"}, "'double' is no name that C has free"),
+    "results": (two, (0.0, 0.0), {"results": ["a", "b"]}, "two: results names 2, and the function has 1"),
+    "twice": (two, (0.0, 0.0), {"results": ["x"]}, "two: two arguments or results are called 'x'"),
+    "shared": (two, (0.0, 0.0), {"shared": ["z"]}, "two: shared 'z' is no argument; choose of x, y"),
+    "elsewhere": (
+        two,
+        (0.0, 0.0),
+        {"target": "aarch64", "python": True},
+        "a shared library for aarch64 is linked on the machine",
+    ),
+}
+
+
+@pytest.mark.usefixtures("untyped")
+@pytest.mark.parametrize("case", CASES)
+def test_refused_in_one_line(case, tmp_path):
+    function, signature, more, told = CASES[case]
+    with pytest.raises(ValueError, match=told) as raised:
+        jaxik.export(function, signature, tmp_path, **more)
+    assert "\n" not in str(raised.value) and str(raised.value).startswith("export: ")
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_robot_lacks_what_a_function_needs(tmp_path):
+    with pytest.raises(ValueError, match="panda has no bodies"):
+        export_robot(jaxik.load("panda"), ["inverse_dynamics"], tmp_path)
+    with pytest.raises(ValueError, match="a function 'poses' is not known; choose of pose, jacobian"):
+        export_robot(jaxik.load("panda"), ["poses"], tmp_path)
