@@ -16,6 +16,7 @@ from tables.collision import (
     scenes_markdown,
 )
 from tables.constrained import constrained_markdown
+from tables.exports import export_markdown
 from tables.five_joints import five_joints_markdown
 from tables.forces import dynamics_markdown, identification_markdown, torque_markdown, touch_markdown
 from tables.mobile_base import mobile_base_markdown
@@ -69,6 +70,7 @@ TABLES = {
     "constrained_benchmark.json": constrained_markdown,
     "dynamics_benchmark.json": dynamics_markdown,
     "ends_benchmark.json": ends_markdown,
+    "export_benchmark.json": export_markdown,
     "five_joints_benchmark.json": five_joints_markdown,
     "furniture_benchmark.json": furniture_markdown,
     "general_arms.json": general_markdown,

@@ -22,7 +22,8 @@ class ExportArguments(ShapedRobotArguments):
     """A shipped model or a robot file (.urdf, .xml, .toml)."""
     functions: str = "pose,jacobian"
     """Names with commas between: pose, jacobian, pose_and_jacobian, manipulability, clearance, clearance_to_spheres,
-    inverse_dynamics, gravity_torque, bias_torque, mass_matrix, forward_dynamics; or all that the robot has."""
+    inverse_dynamics, gravity_torque, bias_torque, mass_matrix, forward_dynamics, and with --double ik, ik_near; or all that the
+    robot has."""
     target: str = "native"
     """The processor: native, x86-64 (SSE2), x86-64-v3 (AVX2), x86-64-v4 (AVX-512), aarch64 (NEON), wasm32."""
     scene: str | None = None
@@ -44,7 +45,7 @@ class ExportArguments(ShapedRobotArguments):
             raise ValueError(f"--functions {wrong}: choose of {', '.join(FUNCTIONS)}, with commas between, or all")
         robot = jaxik.load(self.robot, **self.loading())
         scene = jaxik.load_scene(self.scene) if self.scene else None
-        wanted = [each for each in FUNCTIONS if _has(robot, each)] if "all" in names else names
+        wanted = [each for each in FUNCTIONS if _has(robot, each, self.double)] if "all" in names else names
         made = export_robot(
             robot,
             wanted,
@@ -61,8 +62,10 @@ class ExportArguments(ShapedRobotArguments):
         print(f"{self.out}: {', '.join(file.name for file in made.files)}")
 
 
-def _has(robot: jaxik.Robot, name: str) -> bool:
-    """Whether the robot has what a function needs."""
+def _has(robot: jaxik.Robot, name: str, double: bool) -> bool:
+    """Whether the robot has what a function needs, and it may be computed so."""
+    if FUNCTIONS[name].double and not double:
+        return False
     try:
         FUNCTIONS[name].check(robot)
     except ValueError:

@@ -42,7 +42,7 @@ def _target(functions: Sequence[Function]) -> str:
 
 
 def _contract(functions: Sequence[Function]) -> str:
-    """What holds for all functions."""
+    """The contract that all functions keep."""
     calls = sorted({call for function in functions for call in function.calls})
     needs = (
         f"They ask the C library for {', '.join(calls)} (link with -lm), and for nothing else."

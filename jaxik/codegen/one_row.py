@@ -96,7 +96,7 @@ def _by_kind(program: Program, needed: Collection[int]) -> tuple[dict[int, int],
 
 
 def _what(program: Program, op: Op, kinds: dict[int, Any]) -> Any:
-    """What is computed of a number of the row, the same for equal functions of two; None where it is something else."""
+    """A key for the function of a number of the row, the same for equal functions of two; None where it is something else."""
     if isinstance(op.args, Load):
         plain = op.args.memory.kind == "operand" and op.args.at is None and op.args.after is None and op.type != "i1"
         return ("load", op.args.memory.number) if plain else None

@@ -1,4 +1,4 @@
-"""What cannot be exported, in one line: the operation, the place in the source that asks for it, and the mend."""
+"""Refusals of what cannot be exported, in one line: the operation, its place in the source, and the mend."""
 
 from __future__ import annotations
 

@@ -16,8 +16,10 @@ from jaxik.collision.clearances import check_geometry, clearance
 from jaxik.collision.scene import Scene
 from jaxik.collision.sphere_clouds import clearance_to_spheres
 from jaxik.dynamics import bias_torque, forward_dynamics, gravity_torque, inverse_dynamics, mass_matrix
+from jaxik.ik.whole_search import ik_search
 from jaxik.kinematics import Robot, forward_kinematics, jacobian, manipulability
 from jaxik.kinematics.robot import need_bodies
+from jaxik.reasons import Reason
 from jaxik.spmd import kernel
 
 SPHERES = 4096  # that a scene of run time has at most; memory is read as far as there are any
@@ -45,6 +47,7 @@ class RobotFunction(NamedTuple):
     results: Mapping[str, str]
     words: str
     check: Callable[[Robot], Any] = lambda robot: None
+    double: bool = False  # whether it is computed in float64 alone
 
 
 def _joints(robot: Robot) -> tuple[int, ...]:
@@ -61,6 +64,11 @@ def _normal(scale: float) -> Callable[[np.random.Generator, Robot], np.ndarray]:
     return lambda rng, robot: rng.normal(scale=scale, size=robot.num_joints)
 
 
+def _reached(rng: np.random.Generator, robot: Robot) -> np.ndarray:
+    """The pose of a posture within the limits."""
+    return np.asarray(forward_kinematics(robot, _within(rng, robot)))
+
+
 def _around(rng: np.random.Generator, robot: Robot) -> np.ndarray:
     """Spheres of 2 to 6 cm around the base."""
     found = np.zeros((SPHERES, 4))
@@ -70,6 +78,8 @@ def _around(rng: np.random.Generator, robot: Robot) -> np.ndarray:
 
 
 ARGUMENTS: dict[str, Argument] = {
+    "pose": Argument(lambda robot: (4, 4), "base_T_tip, homogeneous: rotation, translation [m], and 0 0 0 1", _reached),
+    "posture": Argument(_joints, "joint positions around which it looks [rad, m]", _within),
     "q": Argument(_joints, "joint positions [rad, m]", _within),
     "qdot": Argument(_joints, "joint velocities [rad/s, m/s]", _normal(1.0)),
     "qddot": Argument(_joints, "joint accelerations [rad/s2, m/s2]", _normal(1.0)),
@@ -85,11 +95,29 @@ _POSE = {"pose": "base_T_tip, homogeneous: rotation, translation [m], and 0 0 0 
 _JACOBIAN = {"jacobian": "linear rows, then angular, in base axes at the tip's origin [m/rad, 1]"}
 _TORQUE = {"torque": "torques of the drives [Nm, N]"}
 _CLEARANCE = {"clearance": "the smallest signed distance [m]; below 0 there is contact"}
+_ANSWER = {
+    "q": "joint positions [rad, m]: the answer, or the nearest miss",
+    "reason": f"{int(Reason.SOLVED)}: solved; {int(Reason.NOT_CONVERGED)}: no answer; {int(Reason.INVALID)}: the pose is none",
+    "position_error": "how far the tip is from the pose [m]",
+    "rotation_error": "how far it is turned [rad]",
+    "clearance": "the smallest signed distance [m], NaN where none is looked at",
+    "seed": "the number of the seed that led to it, -1 where none did",
+}
 _bodies = lambda robot: need_bodies("export", robot)
 
 
 def _pose_and_jacobian(robot: Robot) -> Made:
     return lambda q: (forward_kinematics(robot, q), jacobian(robot, q))
+
+
+def _ik(robot: Robot, scene: Scene | None) -> Made:
+    find = ik_search(robot, scene=scene)
+    return lambda pose: find(pose)
+
+
+def _ik_near(robot: Robot, scene: Scene | None) -> Made:
+    find = ik_search(robot, scene=scene, seeds="near", choice="first", reference=np.zeros(robot.num_joints))
+    return lambda pose, posture: find(pose, posture)
 
 
 FUNCTIONS: dict[str, RobotFunction] = {
@@ -145,6 +173,8 @@ FUNCTIONS: dict[str, RobotFunction] = {
         "the accelerations that torques cause",
         _bodies,
     ),
+    "ik": RobotFunction(_ik, ("pose",), _ANSWER, "a posture for a pose, clear of the scene, which is folded in", double=True),
+    "ik_near": RobotFunction(_ik_near, ("pose", "posture"), _ANSWER, "the same, by looking around a posture", double=True),
 }
 
 
@@ -165,9 +195,12 @@ def robot_function(
         raise ValueError(f"export: a function {name!r} is not known; choose of {', '.join(FUNCTIONS)}")
     wanted = FUNCTIONS[name]
     wanted.check(robot)
+    if wanted.double and not double:
+        raise ValueError(f"export: {name} is computed in float64 alone; give double=True (--double)")
     own = f"{prefix}_{name}"
     taken = [ARGUMENTS[each] for each in wanted.arguments]
-    made = wanted.make(robot, scene)
+    with jax.enable_x64(double):
+        made = wanted.make(robot, scene)
     exported = function_of(
         made,
         [jax.ShapeDtypeStruct(each.shape(robot), each.kind) for each in taken],

@@ -6,6 +6,7 @@ from jaxik.collision.contact_report import Contact, Limit, Nearby, explain
 from jaxik.collision.continuous_collision import MotionClearance, motion_clearance
 from jaxik.collision.scene import Mark, Scene
 from jaxik.collision.scene_builder import SceneBuilder, make_scene
+from jaxik.collision.sphere_clouds import clearance_to_spheres
 from jaxik.collision.volumes import robot_spheres
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "SceneBuilder",
     "attach",
     "clearance",
+    "clearance_to_spheres",
     "collides",
     "explain",
     "link_clearances",

@@ -24,8 +24,8 @@ def llvm() -> Any:
 
 
 class Target(NamedTuple):
-    """A processor that code is made for, in LLVM's words, and how wide its vectors are. Of some intrinsics it is `without` an
-    instruction: LLVM would call the C library."""
+    """A processor that code is made for, in LLVM's words, and how wide its vectors are. It is `without` an
+    instruction for some intrinsics: LLVM would call the C library."""
 
     triple: str
     cpu: str

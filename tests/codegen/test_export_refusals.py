@@ -1,4 +1,4 @@
-"""What cannot be exported is told in one line, with the operation, its place and the mend."""
+"""Refusals of what cannot be exported: one line, with the operation, its place and the mend."""
 
 import jax
 import jax.numpy as jnp

@@ -31,7 +31,7 @@ def panda():
 
 
 def functions(robot):
-    """By name: a function, and how many arguments of a number a joint it takes."""
+    """A function by name, and how many arguments of a number a joint it takes."""
     return {
         "pose_and_jacobian": (lambda q: (jaxik.forward_kinematics(robot, q), jaxik.jacobian(robot, q)), 1),
         "inverse_dynamics": (lambda q, qdot, qddot: inverse_dynamics(robot, q, qdot, qddot), 3),

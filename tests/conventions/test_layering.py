@@ -45,6 +45,7 @@ FLOORS = [  # what the house is made of, from the ground up
     "sweeps",  # knows no fruit
     "harvesting",
     "view",
+    "codegen",  # exports functions of all that is below
     "cli",
     "__main__",
 ]

@@ -21,6 +21,7 @@ MOST = 300  # lines; a Panda's `resolve` had 7,600 where the kernel's call has 5
 ARM, UR = jaxik.load("crops_v2"), jaxik.load("ur5e")  # nine joints with bodies and drives; six with a closed form
 Q = jnp.linspace(0.1, 0.5, 9)
 POSE = jnp.asarray(jaxik.pose([0.3, 0.2, 0.4]))
+SPHERES = np.array([[0.4, 0.1, 0.3 + 0.1 * k, 0.05] for k in range(9)])
 SCENE = jaxik.make_scene(spheres=[[0.5, 0.1, 0.4, 0.1]], boxes=[[0.5, 0.5, 0.5, 0.1, 0.1, 0.1]])
 MOTION = motions.TipMotion.still(POSE)
 TOUCH = dynamics.PointForce(3, jnp.array([0.1, 0.0, 0.2]), jnp.array([1.0, 2.0, 3.0]))
@@ -33,6 +34,7 @@ CALLS = {  # name -> (function of arrays, arrays)
     "collision.collides": (lambda q: collision.collides(ARM, SCENE, q), Q),
     "collision.robot_spheres": (lambda q: collision.robot_spheres(ARM, q), Q),
     "collision.motion_clearance": (lambda q: collision.motion_clearance(ARM, SCENE, q, 1.1 * q), Q),
+    "collision.clearance_to_spheres": (lambda q: collision.clearance_to_spheres(ARM, q, SPHERES, 5), Q),
     "collision.link_clearances": (lambda q: collision.link_clearances(ARM, SCENE, q), Q),
     "collision.object_clearances": (lambda q: collision.object_clearances(ARM, SCENE, q), Q),
     "touch.locate_contact": (lambda q: touch.locate_contact(ARM, q, 0.1 * q, 6, [[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]]), Q),
