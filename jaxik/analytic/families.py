@@ -296,12 +296,11 @@ def redundancy(robot: Robot) -> Redundancy:
     Raises `ValueError` for what is no robot.
     """
     why = closed_form_obstacle(robot)
-    return _redundancy(robot) if robot.concrete else Redundancy(robot, "", (), np.zeros(0), np.zeros(0), why)
+    return _redundancy(robot, why) if robot.concrete else Redundancy(robot, "", (), np.zeros(0), np.zeros(0), why)
 
 
 @functools.lru_cache(maxsize=64)
-def _redundancy(robot: Robot) -> Redundancy:
-    why = closed_form_obstacle(robot)
+def _redundancy(robot: Robot, why: str) -> Redundancy:
     solver = _without_family(robot) if why else solver_of(robot)
     if solver is None:
         return Redundancy(robot, "", (), np.zeros(0), np.zeros(0), why)

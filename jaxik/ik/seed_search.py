@@ -265,7 +265,7 @@ class _Search:
         return nearest_turns(self.setup.robot, q, self.target.home, self.shared.low, self.shared.high)
 
     def _taken(self, rank: Any, left: Any, tree: Any) -> tuple[Any, Any]:
-        """What the lane with the least rank of those that are `left` has, for all; and whether a lane is that one."""
+        """Gives all lanes the tree of the one with the least rank of those that are `left`; and whether a lane is that one."""
         first = left & (rank == _least(jnp.where(left, rank, jnp.inf)))
         mine = self.me == _least(jnp.where(first, self.me, TEAM_SIZE))
         none = lambda x: -jnp.inf if jnp.issubdtype(x.dtype, jnp.floating) else -NOBODY

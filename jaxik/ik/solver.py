@@ -14,6 +14,7 @@ from jaxik.ik.remembered import as_pose, direct_problem
 from jaxik.ik.result import IKResult
 from jaxik.ik.solve import solve_ik
 from jaxik.kinematics.robot import Robot
+from jaxik.spmd import Unsupported
 
 
 class Solver:
@@ -86,7 +87,10 @@ class _World:
 
     def _made(self, options: IKOptions) -> Direct | None:
         problem = direct_problem(*self._asked, options)
-        return None if problem is None else Direct(problem)
+        try:
+            return None if problem is None else Direct(problem)
+        except Unsupported:  # without a compiler for kernels, or on a GPU, the driver's own way by XLA
+            return None
 
 
 def _again(robot: Robot, scene: Scene | None, seed: int, options: IKOptions) -> Solver:

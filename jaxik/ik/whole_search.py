@@ -41,17 +41,18 @@ class SearchedIK(NamedTuple):
 def ik_search(
     robot: Robot, *, scene: Scene | None = None, seed: int = 0, options: IKOptions | None = None, **changes: Any
 ) -> Callable[..., SearchedIK]:
-    """Makes the search of `solve_ik` for one target a pure function, `find(pose)` of base_T_tip (4, 4) [m]; with
-    `seeds="near"`, `find(pose, posture)`, of a posture (n,) [rad, m], too, around which it looks. Host; what it returns is
-    traced, in float64.
+    """Makes the search of `solve_ik` for one target a pure function. Host. The function is traced, in float64.
+
+    It is `find(pose)`, of base_T_tip (4, 4) [m]; with `seeds="near"` it is `find(pose, posture)`, and looks around the posture
+    (n,) [rad, m].
 
         find = jaxik.kernel(jaxik.ik.ik_search(robot))
         jax.jit(jax.vmap(find))(poses)
 
-    It takes those options of `solve_ik` that ask for any one answer, and gives the same one, to the last bit, where the
-    closed form leads to it, or, without one, the first sixteen seeds. Of later seeds it may take another; it moves no posture
-    out of obstacles, and does not say which targets are out of reach. Raises `ValueError` as `solve_ik` does, and for options
-    that it does not take.
+    It takes those options of `solve_ik` that ask for any one answer. The answer is the same, to the last bit, where the
+    closed form leads to it, or, without one, the first sixteen seeds; where later seeds do it may be another. No posture is
+    moved out of obstacles, and no target is proven to be out of reach. Raises `ValueError` as `solve_ik` does, and for
+    options that it does not take.
     """
     options = IKOptions.chosen(options, changes)
     near = options.seeds == "near"

@@ -14,6 +14,7 @@ from robots import pinocchio, pose_errors
 import jaxik
 from jaxik import Reason
 from jaxik.ik import ik_search, remembered
+from jaxik.spmd import Unsupported
 from jaxik.spmd import call as kernels
 
 AWAY = np.array([[1.0, 0.0, 0.0, 2.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -165,6 +166,17 @@ def test_what_is_no_single_pose_is_the_drivers(panda):
         solver(targets[0], np.zeros(3))
     with pytest.raises(ValueError, match="max_seed"):
         jaxik.Solver(panda, max_seed=3)
+
+
+def test_without_a_compiler_the_driver_answers(panda, monkeypatch):
+    def refused(problem):
+        raise Unsupported("without llvmlite")
+
+    monkeypatch.setattr("jaxik.ik.solver.Direct", refused)
+    target = poses(panda, 1)[1][0]
+    solver = jaxik.Solver(panda, collision=False)
+    assert solver._world.direct is None
+    assert_same(solver(target), jaxik.solve_ik(panda, target[None], collision=False)[0])
 
 
 @pytest.mark.parametrize("asked", [{}, {"seeds": "library"}], ids=["by the closed form", "from seeds"])
