@@ -54,10 +54,10 @@ def ik_search(
     moved out of obstacles, and no target is proven to be out of reach. Raises `ValueError` as `solve_ik` does, and for
     options that it does not take.
     """
+    if changes.get("seeds") == "near" and getattr(options, "reference", None) is None:
+        # the posture of a call takes its place, which the options do not know
+        changes = {"reference": np.zeros(robot.num_joints), "choice": "first"} | changes
     options = IKOptions.chosen(options, changes)
-    near = options.seeds == "near"
-    if near and options.reference is None:
-        options = options.changed({"reference": np.zeros(robot.num_joints), "choice": "first"})
     named, tasks = tasks_of("ik_search", robot, options.task)
     if tasks.listed or tasks.given != 1:
         raise ValueError("ik_search: a list of tasks, or a task that has its target; give one task without a target")
