@@ -34,7 +34,8 @@ def export_robot(
 
     The folder `path` holds what `export` writes, of all functions together, and `README.md`, `CMakeLists.txt`, `main.c`, an
     example, and `test.c`, which holds the functions against numbers that jaxik computes now. `name` is that of the library and
-    begins all names in it; the robot's own unless it is told; `NAME_robot.h` tells of joints and limits. `scene` is folded into `clearance`. Floats are `double` or not.
+    begins all names in it; the robot's own unless it is told. `scene` is folded into `clearance` and IK. Floats are `double` or
+    not. `NAME_robot.h` tells of joints and limits.
 
     Raises `ValueError` for other functions and targets, and for a robot that lacks what a function needs.
     """

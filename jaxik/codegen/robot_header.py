@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from jaxik.kinematics import Robot
 def robot_header(name: str, robot: Robot) -> str:
     """The text of `NAME_robot.h`."""
     size, guard = f"{name.upper()}_JOINTS", f"{name.upper()}_ROBOT_H"
-    numbers = lambda what, values: f"static const double {name}_{what}[{size}] = {{{_numbers(np.asarray(values, float))}}};"
+    numbers = lambda what, values: f"static const double {name}_{what}[{size}] = {{{_numbers(values)}}};"
+    velocity = np.full(robot.num_joints, np.inf) if robot.velocity is None else robot.velocity
     lines = [f"/* Joints of the robot {robot.name}, in the order of all arrays of joints. {LICENCE} */"]
     lines += [f"#ifndef {guard}", f"#define {guard}", "", "#include <math.h>", ""]
     lines += [f"#define {size} {robot.num_joints}", ""]
@@ -23,10 +24,11 @@ def robot_header(name: str, robot: Robot) -> str:
     names = ", ".join(map(json.dumps, robot.joint_names))
     lines += [f"static const char *const {name}_joint_names[{size}] = {{{names}}};", ""]
     lines += ["/* Limits of position [rad, m] and of velocity [rad/s, m/s]; INFINITY where there is none. */"]
-    lines += [numbers("lower", robot.lower), numbers("upper", robot.upper), numbers("velocity", robot.velocity)]
+    lines += [numbers("lower", robot.lower), numbers("upper", robot.upper), numbers("velocity", velocity)]
     return "\n".join([*lines, "", f"#endif /* {guard} */", ""])
 
 
-def _numbers(values: Iterable[float]) -> str:
+def _numbers(values: Any) -> str:
     """Numbers as C has them, to the last bit."""
-    return ", ".join(repr(float(x)) if np.isfinite(x) else f"{'-' * (x < 0)}INFINITY" for x in values)
+    finite = lambda x: repr(x) if np.isfinite(x) else f"{'-' * (x < 0)}INFINITY"
+    return ", ".join(map(finite, np.asarray(values, float).tolist()))
