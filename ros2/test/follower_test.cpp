@@ -140,15 +140,20 @@ static void stops_without_input() {
   blind.measured(run.q, 0.0);
   expect(blind.step(0.05).reason == Reason::solved, "a fresh posture is enough");
   expect(blind.step(0.2).reason == Reason::no_posture, "a stale posture stops it");
+  Posture elsewhere = run.q;
+  elsewhere[0] += 0.3;
+  blind.measured(elsewhere, 0.3);
+  expect(moved(blind.step(0.3).posture, elsewhere) == 0.0, "it begins anew from where the arm is seen again");
 }
 
 static void says_why_it_holds() {
   Run run;
   const Pose start = pose_at(run.q);
   const Pose away = moved_by(start, 30.0, 0.0, 0.0);
-  const Pose none = pose_of({0.4, 0.0, 0.5}, {0.0, 0.0, 0.0, 0.0});
+  const Pose none = pose_of({0.4, 0.0, 0.5}, {0.0, 0.0, 0.0, 0.0}), shorter = pose_of({0.4, 0.0, 0.5}, {0.0, 0.0, 0.0, 0.9});
   holds(run, &away, Reason::not_converged, "a pose out of reach has no answer");
   holds(run, &none, Reason::invalid, "a quaternion of 0 is no rotation");
+  holds(run, &shorter, Reason::invalid, "nor is one that is far from length 1");
   expect(run.step(&start).reason == Reason::solved, "a pose in reach lets it go on");
 
   Run narrow;

@@ -150,7 +150,7 @@ class Told:
 
 
 class Node:
-    """As much of `rclpy.node.Node` as the node uses."""
+    """The part of `rclpy.node.Node` that the node uses."""
 
     def __init__(self, name):
         self.told, self.taken, self.logged = {}, {}, []
