@@ -1,7 +1,8 @@
-"""Hooks of mkdocs beside `mkdocs.yml`: where the notebooks lie, and that all public names are documented."""
+"""Hooks of mkdocs beside `mkdocs.yml`: where the notebooks lie, that all public names are documented, and the demo's files."""
 
 from __future__ import annotations
 
+import contextlib
 import re
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 
 sys.path.insert(0, str(Path(__file__).parent))
+import demo_files
 from public import ROOT, faults
 
 
@@ -39,3 +41,9 @@ def on_pre_build(config: Any) -> None:
     found = faults()
     if found:
         raise PluginError("; ".join(found))
+
+
+def on_post_build(config: Any) -> None:
+    """The demo's files; without a linker for WebAssembly the page says that they are not there."""
+    with contextlib.suppress(ValueError):
+        demo_files.write(Path(config.site_dir) / "demo")

@@ -23,3 +23,17 @@ for (const [name, [given, wanted]] of Object.entries(numbers)) {
   assert(most <= 4);
 }
 assert.throws(() => robot.robot_clearance({ q: [1, 2] }), /q has 2 numbers/);
+
+// the demo of the documentation: the frames of its answer end at the pose that was asked
+const arm = {};
+for (const name of ["arm_frames", "arm_ik"]) {
+  const demo = await import(pathToFileURL(`${folder}/../demo/${name}.mjs`));
+  Object.assign(arm, await demo.load(await readFile(`${folder}/../demo/${name}.wasm`)));
+}
+const pose = [1, 0, 0, 0.4, 0, -1, 0, 0.2, 0, 0, -1, 0.4, 0, 0, 0, 1];
+const { q, reason } = arm.arm_ik({ pose });
+const tip = arm.arm_frames({ q }).frames.slice(-16);
+assert.equal(reason[0], 0);
+pose.forEach((x, i) => assert(Math.abs(x - tip[i]) < 1e-6));
+pose[3] = 3;
+assert.notEqual(arm.arm_ik({ pose }).reason[0], 0);

@@ -16,7 +16,7 @@ DYNAMICS = ("inverse_dynamics", "mass_matrix", "forward_dynamics")
 
 
 def main() -> None:
-    """A folder a target; for Node also the numbers of the test."""
+    """A folder a target; for Node also the numbers of the test, and the demo of the documentation."""
     folder, robot = Path(sys.argv[1]), jaxik.load("crops_v2")
     for target, rows in ROWS.items():
         robot_folder.ROWS = rows
@@ -28,6 +28,10 @@ def main() -> None:
         given = listed(sample.function.arguments, sample.arguments)
         told[sample.function.name] = given, listed(sample.function.results, sample.results)
     (folder / "wasm32" / "numbers.json").write_text(json.dumps(told))
+    sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
+    import demo_files
+
+    demo_files.write(folder / "demo")
 
 
 if __name__ == "__main__":

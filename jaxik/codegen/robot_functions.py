@@ -141,7 +141,7 @@ FUNCTIONS: dict[str, RobotFunction] = {
         check_geometry,
     ),
     "clearance_to_spheres": RobotFunction(
-        lambda r, _: lambda q, spheres, spheres_count: clearance_to_spheres(r, q, spheres, spheres_count),
+        lambda r, _: lambda q, spheres, spheres_count: clearance_to_spheres(r, spheres, q, count=spheres_count),
         ("q", "spheres", "spheres_count"),
         _CLEARANCE,
         "the distance of the robot to itself and to spheres that are told in the call",

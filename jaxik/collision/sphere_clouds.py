@@ -27,7 +27,7 @@ from jaxik.spmd.trace import TEAM_SIZE
 
 
 def clearance_to_spheres(
-    robot: Robot, q: Float[Array, " n"], spheres: Float[Array, "m 4"], count: Any = None
+    robot: Robot, spheres: Float[Array, "m 4"], q: Float[Array, " n"], *, count: Any = None
 ) -> Float[jax.Array, ""]:
     """The smallest signed distance of the robot to spheres and to itself [m]: `clearance` of a scene of spheres, for one
     configuration and spheres that change from call to call. Traced.
@@ -61,7 +61,8 @@ def _clearance_to_spheres(robot: Robot, around: Any, q: Any, spheres: Any, count
 
         vectors = (count + TEAM_SIZE - 1) // TEAM_SIZE
         least, unsound = lax.fori_loop(jnp.int32(0), vectors, some, (start, 0.0 * jnp.sum(q)))
-        least = least if pairs is None else _less(_of_pairs(space, pairs, me), least)
+        if pairs is not None and pairs.size:
+            least = _less(_of_pairs(space, pairs, me), least)
         return lax.pmin(least + unsound, TEAM)
 
     return team(lane)(spheres, count, start)

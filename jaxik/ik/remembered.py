@@ -59,37 +59,36 @@ def direct_problem(robot: Robot, scene: Scene | None, seed: int, options: IKOpti
     return problem if is_direct(problem) else None
 
 
-class _Kind:
-    """Calls of one kind, for the same robot, which is held so that no other is taken for it, and options: how many came so far,
-    and the programs for each scene, which keeps them."""
+class _Place:
+    """The programs for calls of one kind in one scene, once they are there, or `settled` without any. The robot is held, so
+    that no other is taken for it."""
 
     def __init__(self, robot: Robot):
-        self.robot, self.calls, self._alone = robot, 0, _Place()
+        self.robot, self.settled = robot, False
+        self.direct: Direct | None = None
+        self.coming: Future[Direct] | None = None
 
-    def place(self, scene: Scene | None) -> _Place:
-        place: _Place = self._alone if scene is None else remembered(scene, self, _Place)
-        return place
-
-    def look(self, place: _Place, scene: Scene | None, seed: int, options: IKOptions) -> None:
-        """Finds the programs of a place, where they are there, or has them made."""
-        self.calls += 1
-        if self.calls == 1:  # it may be the only one
-            return
+    def look(self, calls: int, scene: Scene | None, seed: int, options: IKOptions) -> None:
+        """Finds the programs, where they are there, or has them made for one who calls often."""
         problem = direct_problem(self.robot, scene, seed, options)
         if problem is None:
-            place.settled = True
+            self.settled = True
         elif is_compiled(problem):
-            place.direct, place.settled = Direct(problem), True
-        elif place.coming is None and self.calls >= OFTEN:
-            place.coming = threads().submit(Direct, problem)
+            self.direct, self.settled = Direct(problem), True
+        elif self.coming is None and calls >= OFTEN:
+            self.coming = threads().submit(Direct, problem)
 
 
-class _Place:
-    """The programs for one scene, once they are there, or `settled` without any."""
+class _Kind:
+    """Calls of one kind, for the same robot and options: how many came so far, and their place where there is no scene. With
+    one it is the scene that keeps it."""
 
-    direct: Direct | None = None
-    settled = False
-    coming: Future[Direct] | None = None
+    def __init__(self, robot: Robot, key: Any):
+        self.robot, self.key, self.calls, self._alone = robot, key, 0, _Place(robot)
+
+    def place(self, scene: Scene | None) -> _Place:
+        place: _Place = self._alone if scene is None else remembered(scene, self.key, lambda: _Place(self.robot))
+        return place
 
 
 @anew_in_forks
@@ -107,12 +106,15 @@ def answered_directly(
         return None
     given = tuple([(name, type(value), value) for name, value in changes.items()])
     try:
-        kind = _kind(robot, (id(robot), type(seed), seed, options, given))
+        kind = _kind(robot, ("solve_ik", id(robot), type(seed), seed, options, given))
     except TypeError:  # of what has no hash
+        return None
+    kind.calls += 1
+    if kind.calls == 1:  # it may be the only one
         return None
     place = kind.place(scene)
     if not place.settled:
-        kind.look(place, scene, seed, IKOptions.chosen(options, changes))
+        place.look(kind.calls, scene, seed, IKOptions.chosen(options, changes))
     return None if place.direct is None else place.direct(pose)
 
 
@@ -129,5 +131,5 @@ def _kind(robot: Robot, key: Any) -> _Kind:
     if found is None:
         while len(kinds) >= KEPT:
             kinds.pop(next(iter(kinds)), None)
-        found = kinds[key] = _Kind(robot)
+        found = kinds[key] = _Kind(robot, key)
     return found

@@ -54,8 +54,7 @@ def ik_search(
     moved out of obstacles, and no target is proven to be out of reach. Raises `ValueError` as `solve_ik` does, and for
     options that it does not take.
     """
-    if changes.get("seeds") == "near" and getattr(options, "reference", None) is None:
-        # the posture of a call takes its place, which the options do not know
+    if changes.get("seeds") == "near":  # the posture is given later
         changes = {"reference": np.zeros(robot.num_joints), "choice": "first"} | changes
     options = IKOptions.chosen(options, changes)
     named, tasks = tasks_of("ik_search", robot, options.task)

@@ -34,7 +34,7 @@ CALLS = {  # name -> (function of arrays, arrays)
     "collision.collides": (lambda q: collision.collides(ARM, SCENE, q), Q),
     "collision.robot_spheres": (lambda q: collision.robot_spheres(ARM, q), Q),
     "collision.motion_clearance": (lambda q: collision.motion_clearance(ARM, SCENE, q, 1.1 * q), Q),
-    "collision.clearance_to_spheres": (lambda q: collision.clearance_to_spheres(ARM, q, SPHERES, 5), Q),
+    "collision.clearance_to_spheres": (lambda q: collision.clearance_to_spheres(ARM, SPHERES, q, count=5), Q),
     "collision.link_clearances": (lambda q: collision.link_clearances(ARM, SCENE, q), Q),
     "collision.object_clearances": (lambda q: collision.object_clearances(ARM, SCENE, q), Q),
     "touch.locate_contact": (lambda q: touch.locate_contact(ARM, q, 0.1 * q, 6, [[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]]), Q),

@@ -208,4 +208,4 @@ def test_the_search_says_what_it_does_not_take(panda):
     with pytest.raises(ValueError, match="more than the first answer"):
         ik_search(panda, collision=False, solutions=4)
     with pytest.raises(ValueError, match="list of tasks"):
-        ik_search(panda, collision=False, task=[jaxik.Task.pose(tip="panda_hand")])
+        ik_search(panda, collision=False, task=[jaxik.Task.pose(tip="panda_link7")])
