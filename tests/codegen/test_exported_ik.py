@@ -12,7 +12,9 @@ from robots import pinocchio
 
 import jaxik
 from jaxik import Reason
-from jaxik.codegen.robot_functions import robot_function
+from jaxik.codegen.functions import function_of
+from jaxik.codegen.robot_functions import ARGUMENTS, FUNCTIONS
+from jaxik.codegen.targets import is_here
 from jaxik.ik import ik_search
 from jaxik.spmd import HostKernel
 
@@ -34,7 +36,12 @@ def goals(panda):
 
 
 def exported(robot, name, scene=None):
-    return robot_function(robot, name, prefix="arm", scene=scene, target="native", double=True, rows=1).function
+    wanted = FUNCTIONS[name]
+    wanted.check(robot)
+    with jax.enable_x64(True):
+        made = wanted.make(robot, scene)
+    shapes = [jax.ShapeDtypeStruct(ARGUMENTS[each].shape(robot), np.float64) for each in wanted.arguments]
+    return function_of(made, shapes, name=f"arm_{name}", double=True, results=list(wanted.results))
 
 
 def assert_like_the_kernel(made, find, *arrays):
@@ -60,7 +67,8 @@ def test_ik_is_the_kernels_and_small(panda, goals, tmp_path):
     made = exported(panda, "ik")
     found = assert_like_the_kernel(made, ik_search(panda), goals[1])
     assert assert_there(panda, found, goals[1]) > 0.95
-    assert len(made.image) < 300_000 and not made.calls and not made.workspace
+    assert len(made.image) < (300_000 if is_here("x86-64-v4") else 420_000)  # of narrower vectors it takes more instructions
+    assert not made.calls and not made.workspace
     _, reason, *_, seed = called(made, np.full((4, 4), np.nan))
     assert reason == Reason.INVALID and seed == -1
     away = np.eye(4) + 3.0 * np.eye(4, k=3)
