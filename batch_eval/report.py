@@ -19,6 +19,7 @@ from tables.constrained import constrained_markdown
 from tables.exports import export_markdown
 from tables.five_joints import five_joints_markdown
 from tables.forces import dynamics_markdown, identification_markdown, torque_markdown, touch_markdown
+from tables.loops import loops_markdown
 from tables.mobile_base import mobile_base_markdown
 from tables.motions import (
     astar_markdown,
@@ -78,6 +79,7 @@ TABLES = {
     "identification.json": identification_markdown,
     "ik_benchmark.json": ik_markdown,
     "jerk_benchmark.json": jerk_markdown,
+    "loop_benchmark.json": loops_markdown,
     "mesh_benchmark.json": mesh_markdown,
     "motions.json": motions_markdown,
     "narrow_goals.json": narrow_markdown,

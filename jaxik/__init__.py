@@ -24,6 +24,7 @@ with _uncollected():
     from jaxik.fitting import FitOptions
     from jaxik.ik import IKOptions, Solver, implicit_ik, solve_ik
     from jaxik.kinematics import Robot, Task, forward_kinematics, jacobian
+    from jaxik.prepared import Prepared, prepare
     from jaxik.reasons import LoadError, Reason
     from jaxik.spatial.rotations import pose
     from jaxik.spmd import ControlLoop, kernel
@@ -43,6 +44,7 @@ __all__ = [
     "FitOptions",
     "IKOptions",
     "LoadError",
+    "Prepared",
     "Reason",
     "Robot",
     "Scene",
@@ -84,6 +86,7 @@ __all__ = [
     "planning",
     "pose",
     "predict",
+    "prepare",
     "reach",
     "save",
     "solve_ik",

@@ -2,8 +2,9 @@
 
 import contextlib
 import gc
-import os
 from collections.abc import Iterator
+
+from jaxik.platforms import after_fork
 
 _pausing = False
 
@@ -31,5 +32,4 @@ def _after_fork() -> None:
         gc.enable()
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)
+after_fork(_after_fork)

@@ -2,9 +2,10 @@
 
 import functools
 import hashlib
-import os
 import time
 from pathlib import Path
+
+from jaxik.platforms import last_changed
 
 BEGAN = time.time_ns() - 20_000_000  # when the first of them was imported [ns]; a file's clock may lag by a few milliseconds
 
@@ -18,8 +19,7 @@ def digest() -> str | None:
         for path in sorted(home.rglob("*.py")):
             before = path.stat()
             text = path.read_bytes()
-            # the system notes when a file was last written or put in its place; Windows knows only what the file says
-            if (before.st_mtime_ns if os.name == "nt" else before.st_ctime_ns) >= BEGAN:
+            if last_changed(before) >= BEGAN:
                 return None
             content.update(f"{path.relative_to(home).as_posix()} {len(text)} ".encode() + text)
     except OSError:

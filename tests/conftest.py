@@ -19,10 +19,10 @@ if CACHE not in os.environ:  # a worker's is that of the run, and that of the ru
     os.environ |= {CACHE: f"{home}/jaxik", "XDG_CACHE_HOME": home}
     atexit.register(shutil.rmtree, home, ignore_errors=True)
 
-# not the arithmetic on scalars, nor the compiler, nor what fits: their types are plain (mypy's), and a trace, or a fit, calls
-# them a hundred thousand times
+# not the arithmetic on scalars, nor the compiler, nor what fits, nor what a loop calls: their types are plain (mypy's), and a
+# trace, or a fit, calls them a hundred thousand times
 CLOSED = ("turns", "positioning", "spherical_wrist", "three_parallel", "arm_angle")
-UNTYPED = ("__init__", "algebra", "bodies", "distance", "capsules", "linear", "sqp", "model", *CLOSED)
+UNTYPED = ("__init__", "algebra", "bodies", "distance", "capsules", "linear", "sqp", "model", "prepared", *CLOSED)
 HOME = Path(find_spec("jaxik").origin).parent
 BASES = (HOME / "options.py", HOME / "results.py")  # beartype knows `Self` only in classes that it decorates whole
 FILES = [p for p in HOME.rglob("*.py") if p.stem not in UNTYPED and "spmd" not in p.parts and p not in BASES]

@@ -23,6 +23,7 @@ from jaxik.harvesting.harvest_plan import HarvestPlan, HarvestPlanOptions, Leave
 from jaxik.harvesting.harvest_planner import plan_harvest
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.trajectory_files import ENDINGS
+from jaxik.platforms import replace
 
 HARVEST = flags(
     HarvestOptions,
@@ -211,11 +212,11 @@ def _replace_all(aside: Path, out: Path) -> None:
             shutil.copy2(out / file.name, kept / file.name)
     try:
         for file in files:
-            os.replace(file, out / file.name)
+            replace(file, out / file.name)
     except BaseException:
         for file in files:
             if (kept / file.name).exists():
-                os.replace(kept / file.name, out / file.name)
+                replace(kept / file.name, out / file.name)
             else:
                 (out / file.name).unlink(missing_ok=True)
         raise

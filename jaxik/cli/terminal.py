@@ -3,6 +3,7 @@ there is nothing to wait for; never with a traceback."""
 
 from __future__ import annotations
 
+import _thread
 import contextlib
 import signal
 import threading
@@ -47,14 +48,14 @@ def interrupt_surely() -> None:
     def raised(number: int, frame: FrameType | None) -> None:
         while frame is not None:
             if frame.f_code.co_name == _DEAF:
-                signal.setitimer(signal.ITIMER_REAL, AGAIN)
-                return
+                later = threading.Timer(AGAIN, _thread.interrupt_main)
+                later.daemon = True
+                return later.start()
             frame = frame.f_back
         raise KeyboardInterrupt
 
-    if threading.current_thread() is threading.main_thread() and hasattr(signal, "SIGALRM"):  # else nobody may say so
+    if threading.current_thread() is threading.main_thread():  # else nobody may say so
         signal.signal(signal.SIGINT, raised)
-        signal.signal(signal.SIGALRM, raised)
 
 
 @contextlib.contextmanager

@@ -122,6 +122,25 @@ def grouped_alike(scenes: Sequence[Scene], robot: Robot) -> list[tuple[Obstacles
     return [found if fits(found) else anew(scene) for scene, found in zip(scenes, each, strict=True)]
 
 
+def grouped_in(scene: Scene, robot: Robot, forms: dict[str, Form] | None = None) -> Grouped:
+    """`grouped` with arrays of given `forms` by kind, so that a program made for one scene takes another; or of such forms that
+    each kind has room for some more. Raises `ValueError` as `grouped`, and where there is no room."""
+    check_scene(scene)
+    least = forms or {kind: Form(LEAF[kind], 0, False) for kind, obstacles, _ in scene.by_kind() if obstacles.count}
+    found = _grouped(scene, robot.ignored, False, least)
+    if forms is not None and (got := forms_of(found)) != forms:
+        counts = {kind: count for kind, count in scene.counts.items() if got.get(kind) != forms.get(kind)}
+        room = {kind: form.size * form.room for kind, form in forms.items()}
+        told = " and ".join(f"{count} {kind} with room for {room.get(kind, 0)}" for kind, count in counts.items())
+        raise ValueError(f"scene '{scene.name}': {told} in what was made before; make it anew for this scene")
+    return found + own_shapes(robot)
+
+
+def forms_of(around: Grouped) -> dict[str, Form]:
+    """The form of each kind of obstacles."""
+    return {obstacles.kind: obstacles.form for obstacles in obstacles_in(around)}
+
+
 def obstacles_in(around: Grouped) -> tuple[Obstacles, ...]:
     """The obstacles of the scene."""
     return tuple(each for each in around if isinstance(each, Obstacles))

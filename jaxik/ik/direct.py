@@ -96,7 +96,7 @@ def _usual(problem: Problem) -> dict[str, Any]:
 
 def _clearances(problem: Problem, around: Any) -> Callable[[np.ndarray], list[np.ndarray]]:
     kernel = batch(1, clearance_around, problem.robot)
-    return kernel.repeated(np.zeros((1, problem.robot.num_joints)), around, double=True)
+    return kernel.repeated(np.zeros((1, problem.robot.num_joints)), around, double=True, given=1)
 
 
 def is_compiled(problem: Problem) -> bool:
@@ -121,10 +121,10 @@ def _search(problem: Problem) -> Searched:
     """The program as a function of a pose (1, 4, 4) and a posture: a posture, its errors, its clearance, the number of its seed
     and how many steps led there, each (1, ...)."""
     kernel, given, branches = _program(problem)
-    run = kernel.repeated(*given, double=True)
+    run = kernel.repeated(*given, double=True, given=1 if branches else len(given[0]))
     if not branches:
-        target = given[0]
-        return lambda pose, home: run(pose) if home is None else run(pose, target.tolerance, target.aim, home[None])
+        _, tolerance, aim, usual = given[0]
+        return lambda pose, home: run(pose, tolerance, aim, usual if home is None else home[None])
     unknown, none = np.full(1, np.nan), np.zeros(1, int)
 
     def search(pose: np.ndarray, home: np.ndarray | None) -> Sequence[np.ndarray]:

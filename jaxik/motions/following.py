@@ -28,12 +28,13 @@ from jaxik.motions.nullspace import Box, LoopOptions, RateLimits, Resolved, damp
 from jaxik.motions.path import Path, TipMotion, check_path
 from jaxik.optimise import ocp
 from jaxik.options import choice, flag, number, per_joint
+from jaxik.platforms import cores
 from jaxik.pytree import static
 from jaxik.reasons import Reason
 from jaxik.results import Result
 from jaxik.spatial.algebra import IDENTITY, Frame, Vec3
 from jaxik.spmd import kernel
-from jaxik.spmd.batch import cores, in_blocks
+from jaxik.spmd.batch import in_blocks
 
 Scheme = Literal["rmrc", "asc", "rac"]
 Each = Literal["path", "duration"]

@@ -19,8 +19,9 @@ from jaxtyping import Bool, Float, Int
 from jaxik.optimise.banded import banded_solve
 from jaxik.optimise.programme import Layout, Measured, Problem, one_sided
 from jaxik.optimise.splines import applied, spread
+from jaxik.platforms import cores
 from jaxik.spmd import HostKernel
-from jaxik.spmd.batch import cores, in_blocks, threads
+from jaxik.spmd.batch import in_blocks, threads
 
 _GRIP = 10.0  # that weight in the merit, in units of the cost: if it were stiff, steps along curved equations would be refused
 _TO_BOUND = 0.995  # of the way to a bound that a step may go

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import uuid
 import zipfile
 from pathlib import Path
@@ -20,6 +19,7 @@ from jaxik.planning.roadmap import Roadmap
 from jaxik.planning.roadmap_blocked import Blocked
 from jaxik.planning.roadmap_graph import Graph
 from jaxik.planning.roadmap_reach import Body, Swept
+from jaxik.platforms import replace
 from jaxik.reasons import LoadError
 
 FORMAT = 1
@@ -50,7 +50,7 @@ def save_roadmap(roadmap: Roadmap, path: str | Path) -> Path:
     try:
         with aside.open("wb") as file:
             np.savez(file, **content)
-        os.replace(aside, path)
+        replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)
     return path

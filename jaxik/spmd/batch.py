@@ -7,7 +7,6 @@ copies of its own rows: nothing compiles again for another number, and a row's r
 from __future__ import annotations
 
 import functools
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
@@ -16,21 +15,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.spmd import HostKernel, Unsupported, cache
+from jaxik.platforms import after_fork, cache_home, cores
+from jaxik.spmd.host import HostKernel
+from jaxik.spmd.program import Unsupported
 
 Cached = TypeVar("Cached", bound=Any)
 GATHERED = 16384  # rows at a time that are made for a kernel: few calls, and they stay in the caches
 
 
-def cores() -> int:
-    """The cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def anew_in_forks(cached: Cached) -> Cached:
     """A cached function that forgets what it knows in a process forked from this one, where no thread but one goes on."""
-    if hasattr(os, "register_at_fork"):
-        os.register_at_fork(after_in_child=cached.cache_clear)
+    after_fork(cached.cache_clear)
     return cached
 
 
@@ -57,7 +52,7 @@ def in_blocks(
     rows: Callable[..., tuple[np.ndarray, ...]] | None = None,
 ) -> list[np.ndarray]:
     """`function(*rows, *fixed)` over the rows of `columns`, which may be none; its leaves as NumPy arrays. `columns` are
-    arrays, at least the first one, or pytrees of them. `size` rows are a block where XLA has to do it. `rows`, of some rows of
+    arrays, or pytrees of them. `size` rows are a block where XLA has to do it. `rows`, of some rows of
     `columns`, are those that the function takes: made block by block, in the block's own thread.
 
     `double` says whether it runs in float64 or float32 whatever JAX is set to; None is as it is set here, which other threads
@@ -75,7 +70,7 @@ def in_blocks(
             pass
 
     def block(*part: Any) -> list[np.ndarray]:
-        here = len(part[0])
+        here = _count(part)
         filled = lambda x: np.resize(x, (size, *x.shape[1:])) if here < size else x  # of no rows it makes zeros
         padded = jax.tree_util.tree_map(filled, part)
         with jax.enable_x64(wide):
@@ -87,14 +82,18 @@ def in_blocks(
 def _by_blocks(function: Callable[..., list[np.ndarray]], columns: tuple[Any, ...], size: int) -> list[np.ndarray]:
     """`function` over so many rows at a time, in several threads."""
     block = lambda start: function(*jax.tree_util.tree_map(lambda x: x[start : start + size], columns))
-    starts = range(0, max(len(columns[0]), 1), size)
+    starts = range(0, max(_count(columns), 1), size)
     parts = [block(s) for s in starts] if len(starts) == 1 else list(threads().map(block, starts))
     return [np.concatenate(each) for each in zip(*parts, strict=True)]
 
 
+def _count(columns: Any) -> int:
+    return len(jax.tree_util.tree_leaves(columns)[0])
+
+
 def compilation_cache() -> None:
     """JAX's persistent cache, so that the second run compiles nothing. Only the commands, and workers, call this."""
-    own = cache.user_folder()
+    own = cache_home()
     if own is None:
         return
     folder = own / "jaxik"

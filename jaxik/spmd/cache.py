@@ -5,27 +5,16 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import stat
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 import jax
 
+from jaxik import platforms
+
 OURS = "jaxik_"  # how the names of objects begin, and of their files
 LIMIT = 2**28  # bytes of the objects on disk, some 10,000 kernels; beyond, those longest not used go
 _unseen = LIMIT  # bytes that this process has written since it last looked how large the folder is
-
-
-def user_folder() -> Path | None:
-    """The user's folder for what can be made again [XDG]; None for a user without a home."""
-    given = os.environ.get("XDG_CACHE_HOME", "")
-    if os.path.isabs(given):  # any other is to be ignored
-        return Path(given)
-    try:
-        return Path.home() / ".cache"
-    except RuntimeError:
-        return None
 
 
 def cache_folder() -> Path | None:
@@ -36,7 +25,7 @@ def cache_folder() -> Path | None:
     beside = jax.config.values["jax_compilation_cache_dir"]
     if beside and "://" not in str(beside):
         return Path(beside) / "kernels"
-    own = user_folder()
+    own = platforms.cache_home()
     return own and own / "jaxik" / "kernels"
 
 
@@ -47,32 +36,11 @@ def read(name: str) -> bytes | None:
     if folder is None:
         return None
     try:
-        content = _read(folder, name)
+        content = platforms.read_own(folder, name)
     except OSError:
         return None
     check, image = content[:32], content[32:]
     return image if image and hashlib.sha256(image).digest() == check else None
-
-
-def _read(folder: Path, name: str) -> bytes:
-    """Reads a file and judges the very file that it read: each is opened once, by no link. Raises `OSError`."""
-    inside = os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
-    try:
-        file = os.open(name, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), dir_fd=inside)
-        with os.fdopen(file, "rb") as opened:
-            if not (_ours_alone(inside, stat.S_ISDIR) and _ours_alone(file, stat.S_ISREG)):
-                raise PermissionError(f"{folder / name}: others may write to it")
-            with contextlib.suppress(OSError):  # a folder to read only
-                os.utime(file)
-            return opened.read()
-    finally:
-        os.close(inside)
-
-
-def _ours_alone(opened: int, kind: Callable[[int], bool]) -> bool:
-    """Whether it is of that kind, this user's, or of the machine's own, and nobody else may write to it."""
-    state = os.fstat(opened)
-    return kind(state.st_mode) and state.st_uid in (os.getuid(), 0) and not state.st_mode & 0o022
 
 
 def write(name: str, image: bytes) -> None:
@@ -86,7 +54,7 @@ def write(name: str, image: bytes) -> None:
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(hashlib.sha256(image).digest() + image)
-            os.replace(aside, folder / name)
+            platforms.replace(aside, folder / name)
         except OSError:
             os.unlink(aside)
         _bound(folder, len(image))

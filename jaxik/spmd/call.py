@@ -8,7 +8,6 @@ import dataclasses
 import functools
 import hashlib
 import importlib.metadata
-import os
 import threading
 from collections.abc import Callable, Iterator, Sequence, Set
 from concurrent.futures import Future
@@ -19,6 +18,7 @@ import jax
 import numpy as np
 
 from jaxik.garbage import uncollected
+from jaxik.platforms import after_fork
 from jaxik.spmd import cache, machine
 from jaxik.spmd.emit import Emitter
 from jaxik.spmd.handler import Row, handler
@@ -131,8 +131,7 @@ def _after_fork() -> None:
         del _made[key]
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)
+after_fork(_after_fork)
 
 
 def _name(digest: str, shared: tuple[bool, ...]) -> str:

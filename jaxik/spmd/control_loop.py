@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -16,8 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.spmd.host import HostKernel
-from jaxik.spmd.program import Unsupported
+from jaxik.spmd.handle import Handle
 
 
 class Stepped:
@@ -120,31 +118,26 @@ class PackedStep:
         packed = step.packed(state)
         packed, told = step(packed, *given)
 
-    By XLA where there is no kernel. A given state stays as it is.
+    By XLA where there is no kernel. A given state stays as it is, and threads may share the step.
     """
 
     def __init__(self, who: str, step: Callable[..., Any], state: Any, *given: Any):
         with jax.enable_x64(True):
-            self._state, self._given = (_Layout(jax.eval_shape(lambda tree=tree: _wide(tree))) for tree in (state, given))
-            self._told = _Layout(jax.eval_shape(step, self._state.tree, *self._given.tree)[1])
-        self.who, size = who, self._state.size
+            layout, kinds = (jax.eval_shape(lambda tree=tree: _wide(tree)) for tree in (state, given))
+        self.who, self._state = who, _Layout(layout)
 
-        def of_row(row: Any) -> Any:
-            after = step(self._state.of(row[:size]), *self._given.of(row[size:]))
-            return jnp.concatenate([jnp.asarray(x, row.dtype).ravel() for x in jax.tree_util.tree_leaves(after)])
+        def of_row(row: Any, *given: Any) -> Any:
+            given = jax.tree_util.tree_map(lambda x, like: x.astype(like.dtype), given, kinds)
+            after, told = step(self._state.of(row), *given)
+            return jnp.concatenate([jnp.asarray(x, row.dtype).ravel() for x in jax.tree_util.tree_leaves(after)]), told
 
-        kernel, first = HostKernel(of_row, 1), _row(*self._state.leaves(state), *self._given.leaves(given))[None]
-        try:
-            self._run = kernel.repeated(first, double=True)
-        except Unsupported:
-            self._run = functools.partial(_by_xla, kernel)
-        self._run(first)
-        self._lock = threading.Lock()  # the kernel has one place for what it is given
+        self._step = Handle(who, of_row)
+        self._step.begin(_row(*self._state.leaves(state)), *given)
 
     def fits(self, state: Any, *given: Any) -> bool:
         """Whether trees have the shapes of those that it was compiled for."""
         try:
-            return bool(self._state.leaves(state) and self._given.leaves(given))
+            return bool(self._step.shaped(_row(*self._state.leaves(state)), *given))
         except ValueError:
             return False
 
@@ -156,21 +149,21 @@ class PackedStep:
         """The state and what is told after a sample. Raises `ValueError` for trees of other shapes than it began with, and
         for a state that is not of this loop."""
         try:
-            row = _row(state.row, *self._given.leaves(given))
             if state._layout is not self._state:
                 raise ValueError
-        except (AttributeError, TypeError, ValueError):
+            try:
+                row, told = self._step(state.row, *given)
+            except ValueError:  # of other shapes, with as many numbers
+                row, told = self._step(*self._step.shaped(state.row, *given))
+        except (AttributeError, ValueError):
             raise ValueError(self._refused(state, given)) from None
-        with self._lock:
-            (after,) = self._run(row[None])
-        size = self._state.size
-        return Packed(after[0, :size], self._state), self._told.of(after[0, size:])
+        return Packed(row, self._state), told
 
     def _refused(self, state: Any, given: Any) -> str:
         if getattr(state, "_layout", None) is not self._state:
             return f"{self.who}: state is {type(state).__name__}; allowed: what `start` or the last `step` of this loop gave"
         told = ", ".join(str(np.shape(x)) for x in jax.tree_util.tree_leaves(given))
-        return f"{self.who}: arrays of shapes {told}; allowed: {', '.join(map(str, self._given.shapes))}"
+        return f"{self.who}: arrays of shapes {told}; allowed: {', '.join(map(str, self._step.shapes[1:]))}"
 
 
 class _Layout:
@@ -211,8 +204,3 @@ def _wide(tree: Any) -> Any:
     """Floats in 64 bits."""
     wide = lambda x: x.astype(jnp.float64) if jnp.issubdtype(x.dtype, jnp.floating) else x
     return jax.tree_util.tree_map(lambda x: wide(jnp.asarray(x)), tree)
-
-
-def _by_xla(kernel: HostKernel, row: np.ndarray) -> list[np.ndarray]:
-    with jax.enable_x64(True):
-        return [np.asarray(kernel.by_xla(row))]

@@ -21,7 +21,7 @@ from jaxik.spmd.threads import API, DONE, FIRST, INNER, NEXT, TOTAL, VECTORS, pa
 FRAME = {"extension": 8, "api": 16, "context": 24, "stage": 32, "operands": 56, "args": 72, "results": 96, "rets": 112}
 BUFFER = {"type": 16, "data": 24, "rank": 32, "dims": 40}
 METADATA = {"kind": 8, "metadata": 24, "major": 24, "minor": 28}
-EXECUTE, INVALID_ARGUMENT, VERSION = 3, 3, (0, 3)
+EXECUTE, INVALID_ARGUMENT, VERSION = 3, 3, (0, 1)
 DATA_TYPES = {"i1": 1, "i8": 2, "i16": 3, "i32": 4, "i64": 5, "u8": 6, "u16": 7, "u32": 8, "u64": 9, "float": 11, "double": 12}
 
 LARGE, MADV_HUGEPAGE = 1 << 22, 14  # bytes of a result for which Linux is asked for large pages

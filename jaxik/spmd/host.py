@@ -5,10 +5,7 @@ A call costs a few microseconds, and a batch of another size compiles nothing.
 
 from __future__ import annotations
 
-import array
-import ctypes
 import functools
-import os
 import threading
 import weakref
 from collections.abc import Callable
@@ -19,9 +16,10 @@ import jax
 import numpy as np
 
 from jaxik.garbage import uncollected
+from jaxik.platforms import after_fork
 from jaxik.spmd import call
 from jaxik.spmd.program import Unsupported
-from jaxik.spmd.threads import CHUNK, DONE, FIRST, INNER, NEXT, TOTAL, VECTORS
+from jaxik.spmd.repeated import Row, repeated, words
 from jaxik.spmd.trace import trace
 from jaxik.spmd.trace_records import Record, keep, recalled, record_name
 
@@ -30,8 +28,7 @@ _NARROW = {np.dtype(np.int64): np.dtype(np.int32), np.dtype(np.uint64): np.dtype
 
 
 _making: weakref.WeakKeyDictionary[HostKernel, threading.RLock] = weakref.WeakKeyDictionary()
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_making.clear)  # nobody goes on with what another thread was making
+after_fork(_making.clear)  # nobody goes on with what another thread was making
 
 
 class HostKernel:
@@ -73,33 +70,39 @@ class HostKernel:
         if not count:
             return outs
         team = max(1, min(team, -(-count // made.width) // (PAYS * made.chunk))) if threads is not None else 1
-        words = _words(made, operands, outs, count, team)
-        address = words.buffer_info()[0]
+        vectors = -(-count // made.width)
+        chunk = vectors if team == 1 else max(1, made.chunk // 2, vectors // (8 * team))
+        asked = words(operands, outs, count, vectors, chunk)
+        address = asked.buffer_info()[0]
         # the arrays are held until each thread is done, even if this one is interrupted
         work = lambda *held: made.work(address)
-        others = [threads.submit(work, words, operands, outs) for _ in range(team - 1)] if threads is not None else []
+        others = [threads.submit(work, asked, operands, outs) for _ in range(team - 1)] if threads is not None else []
         made.work(address)
         for other in others:
             if not other.cancel():  # one that has not begun is not waited for
                 other.result()
         return outs
 
-    def repeated(self, *args: Any, double: bool | None = None) -> Callable[..., list[np.ndarray]]:
-        """`run` for control loops, in less than half its time: a function of the leaves of such arguments, of the shapes of
-        these, which it does not look at. Each call is to end before the next begins. Raises as `run` does."""
+    def repeated(self, *args: Any, double: bool | None = None, given: int | None = None) -> Callable[..., list[np.ndarray]]:
+        """`run` for control loops, in a tenth of its time: a function `again(*leaves, out=None)` of the leaves of such
+        arguments, or of the first that are `given`, where the others stay as they are here; of the shapes of these, at which it
+        does not look. Its results are new arrays, or `out`, arrays like them; a call with `out` allocates nothing. Threads may
+        share it. Raises as `run` does."""
         made, operands, outs, count = self._prepared(args, double)
-        own = [np.array(x) for x in operands]  # with what is closed over, behind the arguments
-        words, leaves = _words(made, own, outs, count, 1), len(jax.tree_util.tree_leaves(args))
-        address = words.buffer_info()[0]
+        given = len(jax.tree_util.tree_leaves(args)) if given is None else given
+        shared = [np.array(x) for x in operands[given:]]
+        rows = [Row(x.shape, x.dtype) for x in outs]
+        return repeated(made.work, operands[:given], shared, rows, count=count, vectors=-(-count // made.width))
 
-        def again(*given: Any, words: Any = words) -> list[np.ndarray]:
-            for x, now in zip(own[:leaves], given, strict=False):
-                x[...] = now
-            words[NEXT] = words[DONE] = 0
-            made.work(address)
-            return [x.copy() for x in outs]
-
-        return again
+    def one(self, *args: Any, double: bool, form: Any = list) -> Callable[..., Any]:
+        """`repeated` for one configuration, from the leaves of its first `lanes` arguments, without the axis of rows, to the
+        results in a `form`, as `repeated.repeated` has it; the other arguments stay as they are. It looks at shapes and types:
+        see there what it raises."""
+        rows = jax.tree_util.tree_map(lambda x: np.asarray(x)[None], args[: self.lanes])
+        made, operands, outs, _ = self._prepared((*rows, *args[self.lanes :]), double)
+        leaves = len(jax.tree_util.tree_leaves(rows))
+        shared, results = [np.array(x) for x in operands[leaves:]], [Row(x.shape[1:], x.dtype) for x in outs]
+        return repeated(made.work, [x[0] for x in operands[:leaves]], shared, results, checked=True, form=form)
 
     def knows(self, *args: Any, double: bool) -> bool:
         """Whether the kernel for such arguments has been made in this process."""
@@ -124,7 +127,7 @@ class HostKernel:
             floats = [x.dtype for x in map(np.asarray, leaves[:rows]) if x.dtype.kind == "f"]
             double = jax.dtypes.canonicalize_dtype(np.result_type(*floats, np.float32)) == np.float64
         width = np.dtype(np.float64 if double else np.float32)
-        operands = [_array(x, width) for x in leaves]
+        operands = [as_operand(x, width) for x in leaves]
         count = _rows(operands, rows)
         shapes = [x.shape[1:] for x in operands[:rows]] + [x.shape for x in operands[rows:]]
         return (tree, double, rows, tuple(shapes), "".join([x.dtype.char for x in operands])), operands, count
@@ -183,7 +186,7 @@ def host_kernels(lanes: int, known: int = 64) -> Callable[[Callable[..., Any]], 
     return factory
 
 
-def _array(x: Any, width: Any) -> np.ndarray:
+def as_operand(x: Any, width: Any) -> np.ndarray:
     """Row by row in memory, in this machine's order of bytes; floats in `width`, integers as JAX has them."""
     x = np.asarray(x)
     native = x.dtype if x.dtype.isnative else x.dtype.newbyteorder("=")
@@ -196,23 +199,3 @@ def _rows(operands: list[np.ndarray], lanes: int) -> int:
         shapes = ", ".join(str(x.shape) for x in operands[:lanes])
         raise ValueError(f"HostKernel: the first {lanes} arguments have a row a lane, as many each; here shapes {shapes}")
     return int(count[0])
-
-
-def _address(x: np.ndarray) -> int:
-    """Where an array lies; a third of the time of `x.ctypes.data`, of which a call asks a dozen."""
-    try:
-        return ctypes.addressof(ctypes.c_char.from_buffer(x))  # type: ignore[arg-type]
-    except (TypeError, ValueError):  # read-only, or without entries
-        return int(x.ctypes.data)
-
-
-def _words(made: call.Made, operands: list[np.ndarray], outs: list[np.ndarray], count: int, team: int) -> array.array[int]:
-    """The words of a call that the kernel reads."""
-    vectors = -(-count // made.width)
-    words = array.array("q", bytes(8 * FIRST))
-    words[TOTAL], words[INNER], words[VECTORS] = vectors, count, vectors
-    words[CHUNK] = vectors if team == 1 else max(1, made.chunk // 2, vectors // (8 * team))
-    for x in operands:
-        words.extend((_address(x), 0))
-    words.extend([_address(x) for x in outs])
-    return words

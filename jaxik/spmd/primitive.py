@@ -16,6 +16,7 @@ from jax.extend.core.primitives import stop_gradient_p
 from jax.interpreters import ad, batching, mlir
 
 from jaxik.spmd import call
+from jaxik.spmd.jax_version import manual, varied, varying
 from jaxik.spmd.scalarise import RULES, Array, Scalariser, Unsupported, type_of
 from jaxik.spmd.trace import Traced, is_float, is_smooth, on_one_device, replaced
 
@@ -38,7 +39,7 @@ def bind(traced: Traced, args: Sequence[Any], batch: tuple[int, ...] = (), masks
 def _alike(args: Sequence[Any]) -> Sequence[Any]:
     """Inside `shard_map` with its checks: what one operand differs along, all do."""
     axes = _varying(map(jax.typeof, args))
-    return [jax.lax.pcast(x, tuple(axes - _varying([jax.typeof(x)])), to="varying") for x in args] if axes else args
+    return [varied(x, tuple(axes - _varying([jax.typeof(x)]))) for x in args] if axes else args
 
 
 @kernel_p.def_abstract_eval
@@ -46,14 +47,14 @@ def _(*avals: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list
     shapes = [((*batch, *a.shape), a.dtype, a.weak_type) for a in traced.outputs]
     if not avals or avals[0].sharding.mesh.empty:
         return [jax.core.ShapedArray(*each) for each in shapes]
-    mesh, axes = avals[0].sharding.mesh, avals[0].mat
+    mesh, axes = avals[0].sharding.mesh, manual(avals[0])
     whole = lambda shape: jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*[None] * len(shape)))
-    return [jax.core.ShapedArray(s, t, weak, sharding=whole(s), manual_axis_type=axes) for s, t, weak in shapes]
+    return [jax.core.ShapedArray(s, t, weak, sharding=whole(s), **axes) for s, t, weak in shapes]
 
 
 def _varying(avals: Iterable[Any]) -> frozenset[Any]:
     """The manual axes of a mesh along which operands differ."""
-    return frozenset().union(*(a.mat.varying for a in avals))
+    return frozenset().union(*map(varying, avals))
 
 
 _first: dict[Any, Traced] = {}  # of equal programs the one that came first, so that XLA compiles its call once

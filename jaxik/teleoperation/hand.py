@@ -24,7 +24,6 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import select
 import struct
 import sys
 import time
@@ -36,6 +35,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxik import platforms
 from jaxik.checks.arrays import Array
 from jaxik.checks.options import as_count, check_finite
 from jaxik.options import Options, number
@@ -147,13 +147,13 @@ class GamePad(_Silent):
             raise ValueError(
                 f"game pad: {len(axes)} axes and {len(signs)} signs; allowed: 6, of x, y, z and the turns about them"
             )
-        self._file = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        self._file = platforms.device(path)
         self._scale = np.array(signs) * np.repeat([reach, turning], 3)
         self._axes, self._sticks, self._buttons = axes, np.zeros(6), np.zeros(buttons)
 
     def read(self) -> Hand:
         """Returns where the sticks are; the kernel tells of changes alone, so that a pad that is there is never silent."""
-        while select.select([self._file], [], [], 0.0)[0] and len(told := os.read(self._file, _EVENT.size)) == _EVENT.size:
+        while platforms.ready(self._file) and len(told := os.read(self._file, _EVENT.size)) == _EVENT.size:
             _, value, kind, number = _EVENT.unpack(told)
             if kind & _AXIS and number in self._axes:
                 self._sticks[self._axes.index(number)] = value / 32767.0
@@ -184,20 +184,14 @@ class Keyboard(_Silent):
         clock: Callable[[], float] = time.monotonic,
     ):
         check_finite("keyboard", 0.0, step=step, turning=turning, held=held)
-        self._stream, self._before = sys.stdin if stream is None else stream, None
-        if self._stream.isatty():
-            import termios
-            import tty
-
-            self._before = termios.tcgetattr(self._stream)
-            tty.setcbreak(self._stream)
+        self._keys = platforms.Keys(sys.stdin if stream is None else stream)
         self._step, self._turning, self._held, self._clock = step, turning, held, clock
         self._position, self._turn, self._until, self._clutch = np.zeros(3), np.zeros(3), -np.inf, 0.0
 
     def read(self) -> Hand:
         """Returns the hand after the keys since the last call."""
-        while select.select([self._stream], [], [], 0.0)[0] and (told := os.read(self._stream.fileno(), 1)):
-            self._pressed(told.decode(errors="ignore"))
+        for key in self._keys.read():
+            self._pressed(key)
         turn = self._turn if self._clock() < self._until else np.zeros(3)
         return Hand(self._position.copy(), turn.copy(), np.array([self._clutch]), 0.0)
 
@@ -212,11 +206,7 @@ class Keyboard(_Silent):
 
     def close(self) -> None:
         """Gives the terminal back as it was."""
-        if self._before is not None:
-            import termios
-
-            termios.tcsetattr(self._stream, termios.TCSADRAIN, self._before)
-            self._before = None
+        self._keys.close()
 
 
 class Mapped(NamedTuple):

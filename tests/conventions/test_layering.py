@@ -16,6 +16,7 @@ import jaxik
 
 FLOORS = [  # what the house is made of, from the ground up
     "version",
+    "platforms",
     "sources",
     "garbage",
     "spmd",  # the compiler of kernels knows no robot
@@ -32,6 +33,7 @@ FLOORS = [  # what the house is made of, from the ground up
     "analytic",
     "costs",
     "collision",
+    "prepared",
     "fitting",
     "files",
     "ik",

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxik import spmd
+from jaxik import platforms, spmd
 from jaxik.spmd import batch, cache
 
 
@@ -90,7 +90,7 @@ def test_what_is_judged_is_what_is_read(nowhere, monkeypatch, tmp_path):
     """Somebody else's file that takes the name's place between two look-ups is not the one that was judged."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     cache.write("jaxik_one", b"code")
-    path, judge = cache.cache_folder() / "jaxik_one", cache._ours_alone
+    path, judge = cache.cache_folder() / "jaxik_one", platforms.ours_alone
 
     def slowly(opened, kind):
         other = path.with_name("other")
@@ -98,7 +98,7 @@ def test_what_is_judged_is_what_is_read(nowhere, monkeypatch, tmp_path):
         os.replace(other, path)
         return judge(opened, kind)
 
-    monkeypatch.setattr(cache, "_ours_alone", slowly)
+    monkeypatch.setattr(platforms, "ours_alone", slowly)
     assert cache.read("jaxik_one") == b"code"
     monkeypatch.setattr(os, "getuid", lambda: 54321)
     assert os.stat(path).st_uid == 0 or cache.read("jaxik_one") is None  # root may do anything anyhow
@@ -114,6 +114,6 @@ def test_what_does_not_link_is_made_anew(nowhere, monkeypatch, tmp_path):
 
 
 def test_an_older_jax_says_so_at_import():
-    code = "import jax; jax.__version__ = '0.9.2'\nimport jaxik"
+    code = "import jax; jax.__version__ = '0.7.2'\nimport jaxik"
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stderr.splitlines()[-1]
-    assert told.startswith("ImportError: jaxik needs jax 0.10 or newer, and here is 0.9.2; pip install")
+    assert told.startswith("ImportError: jaxik needs jax 0.8 or newer, and here is 0.7.2; pip install")

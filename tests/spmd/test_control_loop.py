@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxik.spmd import ControlLoop, Stepped, control_loop
+from jaxik.spmd import ControlLoop, Stepped, control_loop, handle
 
 
 class Counter(Stepped):
@@ -25,7 +25,7 @@ class Counter(Stepped):
 
 def test_a_loop_steps_and_compiles_once(monkeypatch):
     compiled = []
-    monkeypatch.setattr(control_loop, "_by_xla", None)
+    monkeypatch.setattr(handle.Handle, "_by_xla", None)
     packed_step = control_loop.PackedStep
     monkeypatch.setattr(control_loop, "PackedStep", lambda *given: compiled.append(1) or packed_step(*given))
     loop = ControlLoop(Counter())

@@ -225,7 +225,7 @@ def test_a_simulation_has_slopes():
 
 
 def test_a_loop_is_what_a_simulation_is(monkeypatch):
-    monkeypatch.setattr(jaxik.spmd.control_loop, "_by_xla", None)  # it has a kernel
+    monkeypatch.setattr("jaxik.spmd.handle.Handle._by_xla", None)  # it has a kernel
     reaction = Reaction(ARM, scheme="multi", task=TASK)
     expected = simulated(reaction, 4)
     loop, motions = ControlLoop(reaction), PATH.at(1e-3 * np.arange(4), 6.0)

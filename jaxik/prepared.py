@@ -1,0 +1,109 @@
+"""A function of models and configurations, ready for a loop: NumPy in, NumPy out, without JAX in the call."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxik.checks.options import check_flag, shown
+from jaxik.collision.bvh import forms_of, grouped_in
+from jaxik.collision.scene import Scene
+from jaxik.kinematics.robot import Robot
+from jaxik.spmd.handle import Handle
+from jaxik.spmd.packed import packed, unpacked
+
+
+class Prepared(Handle):
+    """A function that `prepare` has made ready. It is called without its models; results are new arrays, or those of `out`,
+    which is like a result. Host.
+
+    A call with `out` allocates nothing. With one more axis in front of each array it computes a batch. Threads may share it.
+    """
+
+    def __init__(self, function: Callable[..., Any], models: tuple[Any, ...], double: bool):
+        scenes = [k for k, each in enumerate(models) if isinstance(each, Scene)]
+        robots = [each for each in models if isinstance(each, Robot)]
+        who = f"prepared {_name(function)}"
+        if scenes and not robots:
+            raise ValueError(f"{who}: a scene without a robot; write prepare(function, robot, scene)")
+        self.models, self._scenes = models, scenes
+        self._robot: Any = next(iter(robots), None)
+        fixed = tuple(None if k in scenes else each for k, each in enumerate(models))
+        super().__init__(who, functools.partial(_with_scenes, function, fixed, tuple(scenes)), double)
+        self._around = [grouped_in(models[k], robots[0]) for k in scenes]
+
+    def __reduce__(self) -> Any:
+        return _again, (self.function.args[0], self.models, self.double)  # type: ignore[attr-defined]
+
+    def __repr__(self) -> str:
+        return f"Prepared({_name(self.function.args[0])}: {', '.join(map(shown, self.models))})"  # type: ignore[attr-defined]
+
+    def update(self, *scenes: Scene) -> None:
+        """Puts other scenes in the place of the present ones, from the next call on, without compiling: of kinds of obstacles
+        that these have, and no more of them than they have room for. Raises `ValueError` for others."""
+        if len(scenes) != len(self._scenes) or not all(isinstance(each, Scene) for each in scenes):
+            told, wanted = ", ".join(map(shown, scenes)) or "nothing", len(self._scenes)
+            raise ValueError(f"{self.who}: update by {told}; it was prepared with {wanted} scene{'s' * (wanted != 1)}")
+        with self._making:
+            around = [grouped_in(scene, self._robot, forms_of(now)) for scene, now in zip(scenes, self._around, strict=True)]
+            given, models = iter(scenes), self.models
+            self.models = tuple(next(given) if k in self._scenes else each for k, each in enumerate(models))
+            self._around = around
+            self.put(*self._packed())
+
+    def begin(self, *example: Any, shared: tuple[Any, ...] = ()) -> None:
+        super().begin(*example, shared=shared or self._packed())
+
+    def _packed(self) -> tuple[Any, ...]:
+        return tuple(packed(around, np.float64 if self.double else np.float32) for around in self._around)
+
+
+def prepare(
+    function: Callable[..., Any], *models: Any, example: tuple[Any, ...] | None = None, double: bool = True
+) -> Prepared:
+    """Returns a traced function of one configuration, ready to be called again and again from Python. Host.
+
+        torque = jaxik.prepare(jaxik.dynamics.inverse_dynamics, robot)
+        torque(q, qdot, qddot)  # (n,): NumPy in, NumPy out, a few microseconds
+
+        near = jaxik.prepare(jaxik.clearance, robot, scene)
+        near(q)
+        near.update(scene)  # another world, without compiling
+
+    `models` are the function's first arguments, which stay: robots, scenes, tasks. Numbers of a robot fold into the program; a
+    scene becomes a table, in the form that jaxik's functions take instead of a `Scene`. All other arguments, and the result,
+    are arrays or trees of arrays, whose shapes are those of the `example`, or of the first call, which compiles. It computes in
+    float64, or in float32 if `double` is False, whatever JAX is set to; by XLA where there is no kernel.
+
+    Raises `ValueError` for what is no function, a scene without a robot, and arguments that the function refuses.
+    """
+    if not callable(function):
+        raise ValueError(f"prepare: {shown(function)} is no function; write e.g. prepare(jaxik.forward_kinematics, robot)")
+    check_flag("prepare", double=double)
+    if any(isinstance(x, jax.core.Tracer) for x in jax.tree_util.tree_leaves(models)):
+        raise ValueError("prepare: a traced model; prepare outside of jit, vmap and grad")
+    made = Prepared(function, models, double)
+    if example is not None:
+        made.begin(*example)
+    return made
+
+
+def _with_scenes(function: Callable[..., Any], models: tuple[Any, ...], scenes: tuple[int, ...], *args: Any) -> Any:
+    """The function of `models`, but for the `scenes` among them, which come packed behind the other arguments."""
+    given = args[: len(args) - len(scenes)]
+    around = {k: unpacked(each) for k, each in zip(scenes, args[len(given) :], strict=True)}
+    return function(*(around.get(k, each) for k, each in enumerate(models)), *given)
+
+
+def _again(function: Callable[..., Any], models: tuple[Any, ...], double: bool) -> Prepared:
+    return prepare(function, *models, double=double)
+
+
+def _name(function: Any) -> str:
+    while isinstance(function, functools.partial):
+        function = function.func
+    return getattr(function, "__name__", type(function).__name__)
