@@ -55,6 +55,7 @@ from tables.trees import trees_markdown
 from tables.two_arm_plans import two_arm_plans_markdown
 from tables.two_arms import two_arms_markdown
 from tables.words import duration
+from tables.xla import xla_markdown
 
 HERE = Path(__file__).parent
 TABLES = {
@@ -103,6 +104,7 @@ TABLES = {
     "two_arm_harvest_benchmark.json": two_arms_markdown,
     "two_arm_planning_benchmark.json": two_arm_plans_markdown,
     "two_arms_benchmark.json": tips_markdown,
+    "xla_benchmark.json": xla_markdown,
 }
 
 

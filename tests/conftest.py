@@ -49,6 +49,17 @@ def pytest_sessionstart(session):
     gc.set_threshold(100_000, 50, 100)  # traces make many objects and little garbage
 
 
+def pytest_collection_modifyitems(config, items):
+    """Leaves out the tests of kernels themselves where there are none, since llvmlite is not installed or hidden
+    (`tests/without_llvmlite.sh`): those marked `kernels`, and those that refuse what is no kernel."""
+    try:
+        import llvmlite.binding  # noqa: F401
+    except ImportError:
+        own = [x for x in items if x.get_closest_marker("kernels") or "only_kernels" in x.fixturenames]
+        config.hook.pytest_deselected(items=own)
+        items[:] = [x for x in items if x not in own]
+
+
 @pytest.fixture
 def optimised():
     """XLA's good code, for what runs long by XLA alone."""

@@ -6,13 +6,15 @@
     jax.jit(jax.vmap(f))        # one SIMD function over the batch on a CPU; the same function, by XLA, elsewhere
 
 It knows no robot. In the order in which a function passes through: `trace` (to a jaxpr), `scalarise` and its `rules` (to a
-`program` of scalars, with `elementary` functions by polynomials), `emit` (LLVM's language, a vector of lanes at a time: what is
-needed and what varies by `liveness`, names, loads and stores by `memory`, instructions by `arithmetic`, all written as `text`),
-`handler` (what XLA calls), `denormals` and `threads`, `machine` (machine code), `call` (kept in memory and on disk),
+`program` of scalars, with `elementary` functions by polynomials), `emit` (LLVM's language, a vector of lanes at a time: what
+is needed and what varies by `liveness`, names, loads and stores by `memory`, instructions by `arithmetic`, all written as
+`text`), `handler` (what XLA calls), `denormals` and `threads`, `machine` (machine code), `call` (kept in memory and on disk),
 `primitive` (batches, derivatives where `tangents` are linear, lowering). A later process needs no trace where `trace_records`
-know a function by its `content`. `host` calls a kernel on NumPy arrays, `repeated` does so again and again on arrays of the
-same shapes, `handle` for a function of trees of them, and `control_loop` for one with a state, sample by sample; `describe`
-says what was made of a function. `docs/kernels.md` tells it from the beginning.
+know a function by its `content`. Without llvmlite a CPU gets the program `by_xla`, in `windows` over the batch.
+
+`host` calls a kernel on NumPy arrays, `repeated` does so again and again on arrays of the same shapes, `handle` for a function
+of trees of them, and `control_loop` for one with a state, sample by sample; `describe` says what was made of a function.
+`docs/kernels.md` tells it from the beginning.
 """
 
 from jaxik.spmd import jax_version as jax_version  # first: it may refuse

@@ -18,6 +18,7 @@ import numpy as np
 from jaxik.garbage import uncollected
 from jaxik.platforms import after_fork
 from jaxik.spmd import call
+from jaxik.spmd.primitive import rows_by_xla
 from jaxik.spmd.program import Unsupported
 from jaxik.spmd.repeated import Row, repeated, words
 from jaxik.spmd.trace import trace
@@ -143,11 +144,7 @@ class HostKernel:
     @functools.cached_property
     def by_xla(self) -> Callable[..., Any]:
         """The same as a compiled program of JAX."""
-
-        def batch(*args: Any) -> Any:
-            return jax.vmap(self.function, tuple(0 if k < self.lanes else None for k in range(len(args))))(*args)
-
-        return jax.jit(batch)
+        return jax.jit(functools.partial(rows_by_xla, self.function, self.lanes))
 
     @uncollected()
     def _made(

@@ -152,3 +152,33 @@ class Liveness:
         """The operation that stands for a result: they come right after the loop or branch."""
         assert self.program.ops[whole + 1 + i].args == (whole, i)
         return whole + 1 + i
+
+
+def users_of(program: Program, live: Liveness) -> dict[int, set[int]]:
+    """The operations that ask for each value; -1 are the program's outputs."""
+    users: dict[int, set[int]] = {v: set() for v in range(len(program.ops))}
+
+    def asks(user: int, values: Sequence[int | None]) -> None:
+        for x in values:
+            if x is not None:
+                users[x].add(user)
+
+    for v in live.needed:
+        code, _, args = program.ops[v]
+        if code == "load":
+            asks(v, [args.at])
+        elif code == "store":
+            asks(v, [args.at, args.value])
+        elif code == "loop":
+            asks(v, [*args.init, *args.results, args.test[1] if args.test else None])
+            for i in live.results.get(v, ()):
+                asks(live.result(v, i), [args.params[i]])
+        elif code == "branch":
+            asks(v, [args.condition])
+            for i in live.results.get(v, ()):
+                asks(live.result(v, i), [args.condition, args.yes_values[i], args.no_values[i]])
+        elif code not in ("const", "param", "result"):
+            asks(v, args)
+    for row in program.outputs:
+        asks(-1, [] if isinstance(row, Whole) else row)
+    return users

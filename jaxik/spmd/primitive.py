@@ -16,9 +16,10 @@ from jax.extend.core.primitives import stop_gradient_p
 from jax.interpreters import ad, batching, mlir
 
 from jaxik.spmd import call
+from jaxik.spmd.by_xla import by_xla
 from jaxik.spmd.jax_version import manual, varied, varying
-from jaxik.spmd.scalarise import RULES, Array, Scalariser, Unsupported, type_of
-from jaxik.spmd.trace import Traced, is_float, is_smooth, on_one_device, replaced
+from jaxik.spmd.scalarise import RULES, Array, Scalariser, Unsupported, scalarised, type_of
+from jaxik.spmd.trace import Traced, is_float, is_smooth, on_one_device, replaced, trace
 
 Masks = tuple[tuple[bool, ...], ...]  # for each operand, which axes of the batch it has
 
@@ -34,6 +35,19 @@ kernel_p.multiple_results = True
 def bind(traced: Traced, args: Sequence[Any], batch: tuple[int, ...] = (), masks: Masks | None = None) -> list[Any]:
     """The program of operands, each with those axes of `batch` in front that its mask names."""
     return list(kernel_p.bind(*_alike(args), traced=traced, batch=batch, masks=masks or ((),) * len(args)))
+
+
+def rows_by_xla(function: Callable[..., Any], lanes: int, *args: Any) -> Any:
+    """A function of one configuration over the rows of its first arguments, so many `lanes`, by XLA also where there are
+    kernels. Traced."""
+    leaves, tree = jax.tree_util.tree_flatten(args)
+    rows = len(jax.tree_util.tree_leaves(args[:lanes]))
+    leaves = list(map(jnp.asarray, leaves))
+    shapes = [jax.ShapeDtypeStruct(x.shape[1:] if k < rows else x.shape, x.dtype) for k, x in enumerate(leaves)]
+    traced, results, more = trace(lambda *x: function(*jax.tree_util.tree_unflatten(tree, x)), shapes)
+    traced.takes_kernel = False
+    masks = tuple((k < rows,) for k in range(len(leaves) + len(more)))
+    return jax.tree_util.tree_unflatten(results, bind(traced, [*leaves, *more], leaves[0].shape[:1], masks))
 
 
 def _alike(args: Sequence[Any]) -> Sequence[Any]:
@@ -191,17 +205,32 @@ def _by_xla(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) ->
     return list(function(*args))
 
 
+def _in_lanes(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
+    """The program by XLA on a CPU; as it was written where there is no such program."""
+    outputs = traced.outputs
+    if not math.prod(batch) or not outputs:
+        return [jnp.zeros((*batch, *a.shape), a.dtype) for a in outputs]
+    grid, operands, _ = _grid(args, traced, batch, masks)
+    try:
+        found = by_xla(scalarised(traced), operands, grid)
+    except (Unsupported, RecursionError):
+        return _by_xla(*args, traced=traced, batch=batch, masks=masks)
+    return [x.reshape(*batch, *a.shape).astype(a.dtype) for x, a in zip(found, outputs, strict=True)]
+
+
 def _on_cpu(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
     outputs = traced.outputs
     sizes = [math.prod(a.shape) for a in outputs]
     if not math.prod(batch) or not any(sizes):
         return [jnp.zeros((*batch, *a.shape), a.dtype) for a in outputs]
     grid, operands, shared = _grid(args, traced, batch, masks)
+    if not traced.takes_kernel:
+        return _in_lanes(*args, traced=traced, batch=batch, masks=masks)
     try:
         name = call.made(traced, shared).name
     except Unsupported as error:
         warn(traced, str(error))
-        return _by_xla(*args, traced=traced, batch=batch, masks=masks)
+        return _in_lanes(*args, traced=traced, batch=batch, masks=masks)
     shapes = [jax.ShapeDtypeStruct((*grid, n), a.dtype) for a, n in zip(outputs, sizes, strict=True)]
     rows = _side_by_side(traced, grid, operands)
     if rows is None:
@@ -283,8 +312,8 @@ def warn(traced: Traced, why: str) -> None:
 
 
 def _lowered(ctx: Any, *args: Any, way: Callable[..., Any], **params: Any) -> Any:
-    if ctx.module_context.lowering_parameters.for_export:
-        way = _by_xla  # another process has no kernel of that name
+    if ctx.module_context.lowering_parameters.for_export and way is _on_cpu:
+        way = _in_lanes  # another process has no kernel of that name
     plain = [jax.core.ShapedArray(a.shape, a.dtype) for a in ctx.avals_in]
     with on_one_device():
         return mlir.lower_fun(way, multiple_results=True)(ctx.replace(avals_in=plain), *args, **params)

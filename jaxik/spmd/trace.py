@@ -35,6 +35,7 @@ class Traced:
     `order_of` when it is first asked for, since most batches are small."""
 
     order_of: Callable[[], Traced | None] | None = None
+    takes_kernel = True  # where there is one
 
     def __init__(self, closed: ClosedJaxpr, seeds: int = 0, name: str = "", values: Traced | None = None):
         self.closed, self.seeds, self.values = closed, seeds, values

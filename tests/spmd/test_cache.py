@@ -14,6 +14,8 @@ import pytest
 from jaxik import platforms, spmd
 from jaxik.spmd import batch, cache
 
+pytestmark = pytest.mark.kernels(reason="machine code on disk")
+
 
 @pytest.fixture
 def nowhere(monkeypatch):

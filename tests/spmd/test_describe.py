@@ -9,6 +9,8 @@ from jax import lax
 import jaxik
 from jaxik.spmd import describe
 
+pytestmark = pytest.mark.kernels(reason="what LLVM made of a function")
+
 Q = np.linspace(-1.0, 1.0, 7)
 
 

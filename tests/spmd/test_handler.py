@@ -13,6 +13,8 @@ from jaxik import spmd
 from jaxik.spmd import call, handler, machine
 from jaxik.spmd.trace import trace
 
+pytestmark = pytest.mark.kernels(reason="what XLA calls is LLVM's code")
+
 SIZES = {"int64_t": 8, "size_t": 8, "int": 4, "uint32_t": 4}
 
 

@@ -15,6 +15,8 @@ from jaxik import spmd
 from jaxik.garbage import uncollected
 from jaxik.spmd import batch, host
 
+pytestmark = pytest.mark.kernels(reason="kernels on NumPy arrays")
+
 RNG = np.random.default_rng(0)
 X, Y = RNG.normal(size=(2, 37, 3)).astype(np.float32)
 N = RNG.integers(-9, 9, (37, 1))

@@ -28,6 +28,8 @@ import numpy as np
 import jaxik
 from jaxik.spmd import HostKernel, host
 
+pytestmark = pytest.mark.kernels(reason="records of kernels on disk")
+
 count = []
 traced = host.trace
 host.trace = lambda *args: (count.append(1), traced(*args))[1]

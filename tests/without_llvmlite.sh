@@ -1,0 +1,26 @@
+#!/usr/bin/env bash
+# All tests as if llvmlite were not installed, area by area: `tests/without_llvmlite.sh [AREA...]`, such as `kinematics dynamics`.
+# Everything runs by XLA then, many times as slow, so this is for a night: an area that takes more than LIMIT seconds (3,600) is
+# given up and counts as failed. Tests of kernels themselves are left out, and how many is told (`tests/conftest.py`).
+set -uo pipefail
+cd "$(dirname "$0")/.."
+hidden=$(mktemp -d)
+trap 'rm -rf "$hidden"' EXIT
+mkdir "$hidden/llvmlite"
+echo 'raise ImportError("llvmlite is hidden, by tests/without_llvmlite.sh")' > "$hidden/llvmlite/__init__.py"
+export PYTHONPATH="$hidden${PYTHONPATH:+:$PYTHONPATH}"
+areas=("$@")
+if [ ${#areas[@]} = 0 ]; then
+  for folder in tests/*/; do compgen -G "$folder/test_*.py" > /dev/null && areas+=("$(basename "$folder")"); done
+  areas+=(test_costs.py)
+fi
+failed=()
+for area in "${areas[@]}"; do
+  echo "== $area"
+  # the one warning that everything runs by XLA is as it should be
+  timeout "${LIMIT:-3600}" python -m pytest -q -W "ignore:jaxik.kernel. everything runs by XLA:UserWarning" "tests/$area"
+  code=$?
+  test $code = 0 -o $code = 5 || failed+=("$area")  # 5: an area of kernels alone
+done
+echo "failed: ${failed[*]:-none}"
+test ${#failed[@]} = 0
