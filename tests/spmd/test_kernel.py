@@ -396,6 +396,7 @@ def test_a_derivative_is_called_that_of_its_function():
 def test_without_llvmlite(monkeypatch):
     """One warning for all functions."""
     monkeypatch.setattr(call.machine, "llvm", lambda: None)
+    monkeypatch.setattr("jaxik.spmd.primitive._told", set())
     one, other = spmd.kernel(lambda q: 2.0 * q - 17.0), spmd.kernel(lambda q: 3.0 * q - 17.0)
     with pytest.warns(UserWarning, match="everything runs by XLA: a kernel cannot do without llvmlite") as told:
         close((one(Q), jax.vmap(other)(Q)), (2.0 * Q - 17.0, 3.0 * Q - 17.0))
