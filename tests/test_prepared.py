@@ -155,13 +155,20 @@ def test_a_copy_by_pickle_is_as_ready():
 
 NEAR = jaxik.prepare(jaxik.clearance, ARM, spheres(30, 6), example=(Q[0],))
 PLACE = jaxik.prepare(jaxik.forward_kinematics, ARM, example=(Q[0],))
+ENTRY = jaxik.prepare(lambda robot, q, k: q[k], ARM, example=(Q[0], 1))
 WRONG = {
     "fewer joints": (lambda: PLACE(Q[0, :3]), r"shapes \(3,\); allowed: \(7,\), or as many rows of each"),
     "two arguments": (lambda: PLACE(Q[0], Q[0]), r"other arguments than those of the first call, \(7,\)"),
     "words": (lambda: PLACE("home"), "where float64 is taken"),
     "complex": (lambda: PLACE(Q[0] + 1j), "complex128 where float64 is taken"),
     "out": (lambda: PLACE(Q[0], out=np.zeros(4)), r"out does not fit; write arrays of shapes \(4, 4\)"),
+    "out of more": (
+        lambda: PLACE(Q[0], out=np.zeros((3, 4, 4))),
+        r"of shapes \(4, 4\), of float64",
+    ),
+    "out of whole numbers": (lambda: PLACE(Q[0], out=np.zeros((4, 4), int)), r"of shapes \(4, 4\), of float64"),
     "out of a batch": (lambda: PLACE(Q, out=np.zeros((4, 4))), r"write arrays of shapes \(20, 4, 4\)"),
+    "a large whole number": (lambda: ENTRY(Q[0], 2**40), "a whole number that int32 does not hold"),
     "traced": (lambda: jax.jit(PLACE)(Q[0]), "traced arrays; call the function itself"),
     "too many": (lambda: NEAR.update(spheres(3000, 0)), "3000 spheres with room for 64 in what was made before"),
     "other kinds": (lambda: NEAR.update(jaxik.make_scene(boxes=[[1, 1, 1, 0.1, 0.1, 0.1]])), "1 boxes with room for 0"),

@@ -96,4 +96,5 @@ def _comment(paragraphs: Sequence[str]) -> str:
         subsequent_indent="    " if text.startswith(" ") else "",
     )
     lines = [line for each in paragraphs for line in fill(each.strip() if not each.startswith(" ") else each)]
+    lines = [line.replace("*/", "* /") for line in lines]  # the end of a comment, in words that a user wrote
     return "\n".join(["/*", *(f" * {line}".rstrip() for line in lines), " */"])

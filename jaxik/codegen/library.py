@@ -47,8 +47,8 @@ def export(
 
     `function` is pure, as for `jaxik.kernel`; a robot is folded in where the function closes over it. `signature` is a tuple
     with an example of each argument of one configuration, pytrees of arrays or of `jax.ShapeDtypeStruct`: only shapes and types
-    count. Floats are `float`, or `double`; integers have at most 32 bits. The folder `path` then holds, for the `target`
-    (`native`, `x86-64`, `x86-64-v3`, `x86-64-v4`, `aarch64`, `wasm32`):
+    count. Floats are `float`, or `double`; integers that are given have 32 bits at most. The folder `path` then holds, for the
+    `target` (`native`, `x86-64`, `x86-64-v3`, `x86-64-v4`, `aarch64`, `wasm32`):
 
     - `NAME.h`, with `NAME` of one configuration and `NAME_batch` of many, `NAME.o` and the static library `libNAME.a`, position
       independent: they allocate nothing, know no globals but constants, and are safe in threads;

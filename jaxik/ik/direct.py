@@ -74,7 +74,9 @@ class Direct:
             (clearance,) = self._told(q)
         result: IKResult = object.__new__(IKResult)
         found = {"q": q[0], "position_error": away[0], "rotation_error": turned[0], "clearance": clearance[0]}
-        vars(result).update(self._usual, **found, seed=number[0], iterations=count[0], solutions=q)
+        numbers = {"seed": np.int64(number[0]), "iterations": np.int64(count[0])}
+        arrays = {"solutions": q.copy(), "apart": np.zeros(2)}  # of this result alone: who writes into one changes no other
+        vars(result).update(self._usual, **found, **numbers, **arrays)
         return result
 
 
@@ -86,7 +88,7 @@ def blind(problem: Problem) -> Problem:
 def _usual(problem: Problem) -> dict[str, Any]:
     """The fields that all answers have in common."""
     tasks = problem.tasks
-    none = {"task": np.int64(-1), "beyond": np.float64(0.0), "other": np.int64(-1), "apart": np.zeros(2)}
+    none = {"task": np.int64(-1), "beyond": np.float64(0.0), "other": np.int64(-1)}
     nearest = {"distance": np.float64(np.nan), "proven": np.bool_(False), "least_distance": np.float64(np.nan), "joints": None}
     around = None if problem.scene is None else (problem.robot, problem.scene, problem.options.margin)
     own = {"num_solutions": np.int64(1), "fault": np.int8(0), "tasks": tasks.names if tasks.listed else (), "solved_in": around}

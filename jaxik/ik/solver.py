@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.checks.arrays import numbers
+from jaxik.checks.options import check_kind, shown
 from jaxik.collision.scene import Scene
 from jaxik.ik.direct import Direct
 from jaxik.ik.options import IKOptions
@@ -32,12 +33,17 @@ class Solver:
     def __init__(
         self, robot: Robot, *, scene: Scene | None = None, seed: int = 0, options: IKOptions | None = None, **changes: Any
     ):
+        check_kind("Solver", "robot", robot, Robot)
         self.robot, self.seed = robot, seed
         self.options = IKOptions.chosen(options, changes)
         self.update(scene)
 
     def __reduce__(self) -> Any:
         return _again, (self.robot, self.scene, self.seed, self.options)  # another process compiles its own
+
+    def __repr__(self) -> str:
+        around = "" if self.scene is None else f", scene={shown(self.scene)}"
+        return f"Solver({shown(self.robot)}{around}, seed={self.seed})"
 
     @property
     def scene(self) -> Scene | None:

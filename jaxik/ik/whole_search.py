@@ -11,6 +11,7 @@ from jax import lax
 from jaxtyping import Float, Int
 
 from jaxik.checks.arrays import Array, as_numbers
+from jaxik.checks.options import check_kind
 from jaxik.collision.scene import Scene
 from jaxik.ik import seeds
 from jaxik.ik.branch_search import NOBODY, first_answer, first_clear_answer
@@ -54,6 +55,7 @@ def ik_search(
     moved out of obstacles, and no target is proven to be out of reach. Raises `ValueError` as `solve_ik` does, and for
     options that it does not take.
     """
+    check_kind("ik_search", "robot", robot, Robot)
     if changes.get("seeds") == "near":  # the posture is given later
         changes = {"reference": np.zeros(robot.num_joints), "choice": "first"} | changes
     options = IKOptions.chosen(options, changes)

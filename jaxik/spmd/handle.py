@@ -41,8 +41,8 @@ class Handle:
         self._making = threading.RLock()
 
     def __call__(self, *args: Any, out: Any = None) -> Any:
-        """Returns the function's result. Raises `ValueError` for arrays of other shapes than the first ones, or than `out`
-        needs."""
+        """Returns the function's result. Raises `ValueError` for arrays of other shapes than the first ones, and for an
+        `out` of other shapes or types than the result's."""
         try:
             return self._run(*args) if out is None else self._run(*args, out=out)
         except REFUSED:
@@ -159,7 +159,11 @@ class _Form:
         for x, row in zip(leaves, self.rows, strict=True):
             if not np.can_cast(x.dtype, row.dtype, "same_kind"):
                 raise ValueError(f"{who}: {x.dtype} where {row.dtype} is taken, of shape {row.shape}")
-        return [np.asarray(x, row.dtype) for x, row in zip(leaves, self.rows, strict=True)]
+        taken = [np.asarray(x, row.dtype) for x, row in zip(leaves, self.rows, strict=True)]
+        for x, given in zip(taken, leaves, strict=True):
+            if x.dtype.kind in "iu" and (x != given).any():
+                raise ValueError(f"{who}: a whole number that {x.dtype} does not hold; give smaller ones")
+        return taken
 
     def fits(self, arrays: Sequence[np.ndarray]) -> bool:
         """Whether arrays are of one configuration."""
@@ -170,17 +174,18 @@ class _Form:
         return all(x.shape == (*arrays[0].shape[:1], *row.shape) for x, row in zip(arrays, self.rows, strict=True))
 
     def into(self, who: str, out: Any, batch: tuple[int, ...] = ()) -> list[np.ndarray] | None:
-        """The arrays into which results go. Raises `ValueError` for those of other shapes."""
+        """The arrays into which results go. Raises `ValueError` for those of other shapes or types."""
         if out is None:
             return None
-        shapes = [(*batch, *x.shape) for x in self.results]
+        wanted = [((*batch, *x.shape), np.dtype(x.dtype)) for x in self.results]
         try:
             arrays = self.told.flatten_up_to(out)
-            if [x.shape for x in arrays if isinstance(x, np.ndarray)] == shapes:
+            if [(x.shape, x.dtype) for x in arrays if isinstance(x, np.ndarray)] == wanted:
                 return arrays
         except (TypeError, ValueError):
             pass
-        raise ValueError(f"{who}: out does not fit; write arrays of shapes {', '.join(map(str, shapes))}") from None
+        shapes, kinds = ", ".join(str(shape) for shape, _ in wanted), ", ".join(dict.fromkeys(str(kind) for _, kind in wanted))
+        raise ValueError(f"{who}: out does not fit; write arrays of shapes {shapes}, of {kinds}") from None
 
     def refused(self, arrays: Sequence[np.ndarray]) -> str:
         """Says what is wrong with arrays."""

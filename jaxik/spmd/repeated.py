@@ -84,7 +84,8 @@ def repeated(
         x[...] = given
     free.append(first)
     known: dict[str, Any] = {"pop": free.pop, "push": free.append, "block": block, "work": _held(work, first[0]), "form": form}
-    known |= {f"shape{k}": row.shape for k, row in enumerate(rows)} | {f"dtype{k}": row.dtype for k, row in enumerate(rows)}
+    for k, row in enumerate((*rows, *results)):
+        known |= {f"shape{k}": row.shape, f"dtype{k}": row.dtype}
     brackets = {None: ("", ""), list: ("[", "]"), tuple: ("(", ")")}.get(form, ("form(", ")"))
     exec(_code(tuple(row.numbers for row in rows), checked, len(results), *brackets), known)
     return known.pop("again")  # which would hold itself by its names
@@ -123,6 +124,10 @@ def _code(numbers: tuple[str, ...], checked: bool, results: int, before: str, af
             raise TypeError
         if type(a1) is not float and (a1.shape != shape1 or a1.dtype is not dtype1):
             raise TypeError
+        if out is not None:
+            [z0, ] = out
+            if z0.shape != shape2 or z0.dtype is not dtype2:
+                raise TypeError
         try:
             taken = pop()
         except IndexError:
@@ -134,18 +139,21 @@ def _code(numbers: tuple[str, ...], checked: bool, results: int, before: str, af
         if out is None:
             out = [y0.copy(), ]
         else:
-            [z0, ] = out
             z0[...] = y0
         push(taken)
         return out
     """
     inside, outside = range(len(numbers)), range(results)
     names = lambda word, numbers: "".join(f"{word.format(k)}, " for k in numbers)
-    other = [f"a{k}.shape != shape{k} or a{k}.dtype is not dtype{k}" for k in inside]
+    is_other = lambda x, k: f"{x}.shape != shape{k} or {x}.dtype is not dtype{k}"
+    other = [is_other(f"a{k}", k) for k in inside]
     wrong = [f"type(a{k}) is not {numbers[k]} and ({each})" if numbers[k] else each for k, each in enumerate(other)]
     lines = [
         f"def again({names('a{}', inside)}*, out=None):",
         *(f" if {each}:\n  raise TypeError" for each in wrong if checked),
+        " if out is not None:",
+        f"  {'[' + names('z{}', outside) + ']' if before else 'z0'} = out",
+        *(f"  if {is_other(f'z{k}', len(numbers) + k)}:\n   raise TypeError" for k in outside if checked),
         " try:",
         "  taken = pop()",
         " except IndexError:",
@@ -156,7 +164,6 @@ def _code(numbers: tuple[str, ...], checked: bool, results: int, before: str, af
         " if out is None:",
         f"  out = {before}{names('y{}.copy()', outside) if before else 'y0.copy()'}{after}",
         " else:",
-        f"  {'[' + names('z{}', outside) + ']' if before else 'z0'} = out",
         *(f"  z{k}[...] = y{k}" for k in outside),
         " push(taken)",
         " return out",

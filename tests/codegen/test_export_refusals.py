@@ -78,6 +78,7 @@ CASES = {
     "a target": (two, (0.0, 0.0), {"target": "z80"}, "target 'z80' is not known; choose one of native, x86-64, "),
     "a name": (two, (0.0, 0.0), {"name": "2nd"}, "'2nd' is no name that C has free"),
     "a word of C": (two, (0.0, 0.0), {"name": "double"}, "'double' is no name that C has free"),
+    "a word of C++": (lambda export: export, (0.0,), {"name": "same"}, "'export' is no name that C has free"),
     "results": (two, (0.0, 0.0), {"results": ["a", "b"]}, "two: results names 2, and the function has 1"),
     "twice": (two, (0.0, 0.0), {"results": ["x"]}, "two: two arguments or results are called 'x'"),
     "shared": (two, (0.0, 0.0), {"shared": ["z"]}, "two: shared 'z' is no argument; choose of x, y"),

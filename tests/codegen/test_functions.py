@@ -1,6 +1,8 @@
 """Exported functions beside oracles of others, and beside the kernels of the same functions, to the last bit."""
 
 import ctypes
+import shutil
+import subprocess
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -189,3 +191,10 @@ def test_far_angles_ask_the_c_library():
     x = np.array([0.3, 1e6, -3e7], np.float32)
     np.testing.assert_allclose(called(made, x, rows=3)[0], np.sin(x.astype(np.float64)), atol=3e-7)
     assert function_of(jnp.sin, (0.0,), name="far", target_name="wasm32").calls == ("sinf",)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_words_do_not_end_the_comment_that_they_are_in(tmp_path):
+    jaxik.export(lambda q: 2 * q, (0.0,), tmp_path, name="twice", words={"q": "from a*/b"})
+    asked = ["cc", "-fsyntax-only", "-x", "c", tmp_path / "twice.h"]
+    assert not subprocess.run(asked, capture_output=True, text=True).stderr

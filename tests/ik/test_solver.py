@@ -2,6 +2,7 @@
 driver's batches, bit for bit, and against Pinocchio."""
 
 import dataclasses
+import inspect
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 
@@ -29,13 +30,13 @@ def poses(robot, count, seed=3):
 
 
 def assert_same(one, row):
-    """Two results are equal in each field, to the last bit."""
+    """Two results are equal in each field, to the last bit, and of the same types."""
     for field in dataclasses.fields(one):
         if field.name in ("solved_in", "joints"):
             continue
         mine, theirs = getattr(one, field.name), getattr(row, field.name)
         assert np.array_equal(np.asarray(mine), np.asarray(theirs), equal_nan=np.asarray(mine).dtype.kind == "f"), field.name
-        assert np.shape(mine) == np.shape(theirs)
+        assert np.shape(mine) == np.shape(theirs) and np.asarray(mine).dtype == np.asarray(theirs).dtype, field.name
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +85,25 @@ def test_answers_have_their_poses(panda):
         found = solver(target)
         assert found and max(pose_errors(pose(found.q), target)) <= 1e-6 + 1e-9
         assert np.all(found.q >= panda.lower) and np.all(found.q <= panda.upper)
+
+
+def test_who_writes_into_a_result_changes_no_other(panda):
+    target, solver = poses(panda, 1)[1][0], jaxik.Solver(panda, collision=False)
+    wanted, spoilt = solver(target), solver(target)
+    spoilt.q[:], spoilt.apart[:] = 7.0, 7.0
+    assert np.array_equal(spoilt.solutions, wanted.solutions)
+    assert_same(solver(target), wanted)
+
+
+def test_what_is_no_robot_is_refused():
+    makes = inspect.unwrap(jaxik.Solver.__init__)  # without the types that tests check
+    for made in (lambda robot: makes(object.__new__(jaxik.Solver), robot), inspect.unwrap(ik_search)):
+        with pytest.raises(ValueError, match=r"robot is panda; write a jaxik.Robot, e.g. jaxik.load\('panda'\)"):
+            made("panda")
+
+
+def test_a_solver_tells_what_it_is_for(panda, world):
+    assert repr(jaxik.Solver(panda, scene=world)).startswith("Solver(Robot panda")
 
 
 def test_a_posture_is_where_the_search_begins(panda):
