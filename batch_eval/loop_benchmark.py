@@ -102,6 +102,18 @@ def distances() -> Case:
     return Case("clearance, Panda, 150 spheres", {JAXIK: lambda: near(mine()), "jaxik, `update`": lambda: near.update(other())})
 
 
+def solving() -> Case:
+    """Inverse kinematics of a Panda clear of itself, of reachable poses, and from postures 0.05 rad away at most."""
+    robot, rng = jaxik.load("panda"), np.random.default_rng(2)
+    pose, solver = jaxik.prepare(jaxik.forward_kinematics, robot), jaxik.Solver(robot)
+    q = np.array([each for each in postures(robot) if solver(pose(each))])
+    near = np.clip(q + rng.uniform(-0.05, 0.05, q.shape), robot.lower, robot.upper)
+    mine, moving = around([pose(each) for each in q]), around([(pose(each), a) for each, a in zip(q, near, strict=True)])
+    return Case(
+        "inverse kinematics, Panda", {JAXIK: lambda: solver(mine()), "jaxik, from a posture": lambda: solver(*moving())}
+    )
+
+
 def reaction() -> Case:
     """A step of a `Reaction` of an arm of nine joints, in a `ControlLoop`."""
     robot = jaxik.load("crops_v2")
@@ -136,7 +148,7 @@ def looking_ahead() -> Case:
     return Case("a predictive controller's step, nine joints", {JAXIK: step})
 
 
-CASES: tuple[Callable[[], Case], ...] = (pose_and_jacobian, torques, distances, reaction, looking_ahead)
+CASES: tuple[Callable[[], Case], ...] = (pose_and_jacobian, torques, distances, solving, reaction, looking_ahead)
 
 
 def flat_out(call: Callable[[], Any], times: np.ndarray) -> None:

@@ -10,6 +10,7 @@ from jaxik.codegen.functions import Function
 from jaxik.codegen.header import LICENCE
 from jaxik.codegen.library import Exported, write_library
 from jaxik.codegen.robot_functions import robot_function
+from jaxik.codegen.robot_header import robot_header
 from jaxik.codegen.targets import WORDS, target
 from jaxik.collision.scene import Scene
 from jaxik.kinematics import Robot
@@ -33,7 +34,8 @@ def export_robot(
 
     The folder `path` holds what `export` writes, of all functions together, and `README.md`, `CMakeLists.txt`, `main.c`, an
     example, and `test.c`, which holds the functions against numbers that jaxik computes now. `name` is that of the library and
-    begins all names in it; the robot's own unless it is told. `scene` is folded into `clearance`. Floats are `double` or not.
+    begins all names in it; the robot's own unless it is told. `scene` is folded into `clearance` and IK. Floats are `double` or
+    not. `NAME_robot.h` tells of joints and limits.
 
     Raises `ValueError` for other functions and targets, and for a robot that lacks what a function needs.
     """
@@ -46,7 +48,7 @@ def export_robot(
     made, folder = [each.function for each in samples], Path(path)
     words = f"Functions of the robot {robot.name} ({robot.num_joints} joints: {', '.join(robot.joint_names)})."
     written = write_library(name, made, folder, words=words, python=python, apart=False)
-    files = {"README.md": _readme(name, robot, made, scene, python)}
+    files = {"README.md": _readme(name, robot, made, scene, python), f"{name}_robot.h": robot_header(name, robot)}
     if target_name != "wasm32":
         files |= {"CMakeLists.txt": cmake_lists(name, made), "main.c": example(name, samples), "test.c": test(name, samples)}
     for file, text in files.items():
@@ -64,7 +66,8 @@ def _readme(name: str, robot: Robot, functions: Sequence[Function], scene: Scene
     lines += ["| function | takes | gives | bytes |", "| --- | --- | --- | --- |"]
     told = lambda fields: ", ".join(f"{f.name} {list(f.shape) if f.shape else ''}".strip() for f in fields)
     lines += [f"| `{f.name}`: {f.words} | {told(f.arguments)} | {told(f.results)} | {len(f.image):,} |" for f in functions]
-    lines += ["", f"Units and shapes stand in `{name}.h`. Each function has a `_batch` beside it, of many configurations.", ""]
+    lines += ["", f"Units and shapes stand in `{name}.h`, joints and limits in `{name}_robot.h`.", ""]
+    lines += ["Each function has a `_batch` beside it, of many configurations.", ""]
     if target_name == "wasm32":
         return "\n".join([*lines, f"`{name}.mjs` loads `{name}.wasm`, in a browser and in Node.", ""])
     library = " -lm" if any(f.calls for f in functions) else ""

@@ -104,6 +104,7 @@ _ANSWER = {
     "seed": "the number of the seed that led to it, -1 where none did",
 }
 _bodies = lambda robot: need_bodies("export", robot)
+_one_tip = lambda robot: robot.only_tip("export")
 
 
 def _pose_and_jacobian(robot: Robot) -> Made:
@@ -173,8 +174,12 @@ FUNCTIONS: dict[str, RobotFunction] = {
         "the accelerations that torques cause",
         _bodies,
     ),
-    "ik": RobotFunction(_ik, ("pose",), _ANSWER, "a posture for a pose, clear of the scene, which is folded in", double=True),
-    "ik_near": RobotFunction(_ik_near, ("pose", "posture"), _ANSWER, "the same, by looking around a posture", double=True),
+    "ik": RobotFunction(
+        _ik, ("pose",), _ANSWER, "a posture for a pose, clear of the scene, which is folded in", _one_tip, double=True
+    ),
+    "ik_near": RobotFunction(
+        _ik_near, ("pose", "posture"), _ANSWER, "the same, by looking around a posture", _one_tip, double=True
+    ),
 }
 
 

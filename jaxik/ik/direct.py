@@ -27,8 +27,7 @@ from jaxik.reasons import Reason
 from jaxik.spmd import HostKernel
 from jaxik.spmd.trace import TEAM_SIZE
 
-SEEDS, CLEAR_SEEDS = 16, 64  # seeds that are tried here: without and with obstacles, before anything else is
-LEAST = 128  # seeds that a user may ask for at least: of fewer the driver makes other steps
+SEEDS = 128  # that are tried here; a user may ask for no fewer: of fewer the driver makes other steps
 
 Searched = Callable[[np.ndarray, np.ndarray | None], Sequence[np.ndarray]]
 
@@ -36,7 +35,7 @@ Searched = Callable[[np.ndarray, np.ndarray | None], Sequence[np.ndarray]]
 def is_direct(problem: Problem) -> bool:
     """Whether targets of such a problem, which has one, may be answered directly."""
     options, free = problem.options, problem.scene is None or problem.alone
-    if not problem.first_will_do or options.nearest or options.max_seeds < LEAST or options.max_seeds % TEAM_SIZE:
+    if not problem.first_will_do or options.nearest or options.max_seeds < SEEDS or options.max_seeds % TEAM_SIZE:
         return False
     if any(task.within for task in problem.tasks.each) or len(seeds.sliding_base(problem.robot)[0]):
         return False
@@ -113,7 +112,7 @@ def _program(problem: Problem) -> tuple[HostKernel, tuple[Any, ...], bool]:
         if problem.scene is None:
             return first_answers(problem.robot), given, True
         return first_clear_answers(problem.robot), (*given, problem.scene, np.float64(problem.options.margin)), True
-    given, setup = seed_rows(problem, SEEDS if problem.scene is None else CLEAR_SEEDS, rescues=False)
+    given, setup = seed_rows(problem, SEEDS, ends=False)
     return first_from_seeds(setup), given, False
 
 
@@ -134,7 +133,7 @@ def _search(problem: Problem) -> Searched:
     return search
 
 
-def seed_rows(problem: Problem, most: int, rescues: bool, library: int = seeds.SETS) -> tuple[tuple[Target, Shared], Setup]:
+def seed_rows(problem: Problem, most: int, ends: bool, library: int = seeds.SETS) -> tuple[tuple[Target, Shared], Setup]:
     """The rows of the targets, what they share, and the facts of a search from `most` seeds, of which so many are of the
     library, if it has one."""
     robot, near = problem.robot, problem.strategy == "near"
@@ -153,5 +152,5 @@ def seed_rows(problem: Problem, most: int, rescues: bool, library: int = seeds.S
     shared = Shared(problem.low, problem.high, problem.weights, low, high, table, around)
     target = Target(problem.poses, problem.tolerance, problem.aim, np.array(problem.home(np.arange(len(problem.aim)))))
     circles = tuple(problem.circles.tolist())
-    setup = Setup(robot, problem.tasks, problem.unit, circles, most, library, inside, near, clear, problem.alone, rescues)
+    setup = Setup(robot, problem.tasks, problem.unit, circles, most, library, inside, near, clear, problem.alone, ends)
     return (target, shared), setup

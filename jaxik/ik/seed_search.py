@@ -2,7 +2,7 @@
 
 The sixteen lanes of a team are sixteen seeds. They step side by side in float32. Those that land are finished in float64 one
 after the other, in the order of their numbers, by all lanes together as if they were one, until one is an answer. Where none
-is, near misses get more steps, and the next sixteen seeds follow.
+of the first sixteen is, those that came near get more steps, and the next sixteen seeds follow.
 
 A lane does what a row does in `refinement`, by the same operations, and its seed is that of `seeds`: a target has the same
 answer, to the last bit, alone here or in a batch there.
@@ -28,14 +28,15 @@ from jaxik.spmd import TEAM, team
 from jaxik.spmd.host import host_kernels
 from jaxik.spmd.trace import TEAM_SIZE
 
-RESCUED = 4  # near misses, of those that the lanes keep, that get more steps
+CLEAR_SEEDS = 64  # among obstacles; then the driver moves postures that collide before it tries more
 
 
 class Setup(NamedTuple):
     """The facts that a search is made for, which fold: the robot and its tasks, the length that counts as a radian [m], which
     joints are `circles` (n,), how many seeds, a multiple of the team's size, how many of the first are of the `library`, the
     range that seeds are in, whether they lie `near` a posture, whether answers must be `clear` of obstacles, or of the robot
-    `alone`, and whether near misses are rescued: after the first sixteen seeds, and at the end."""
+    `alone`, and whether nobody goes on where the search `ends`: then it takes all seeds among obstacles, too, and at last
+    leads near misses on."""
 
     robot: Robot
     tasks: Tasks
@@ -47,7 +48,7 @@ class Setup(NamedTuple):
     near: bool
     clear: bool
     alone: bool
-    rescues: bool
+    ends: bool
 
 
 class Target(NamedTuple):
@@ -74,7 +75,7 @@ class Shared(NamedTuple):
 
 
 class Lane(NamedTuple):
-    """The end of some steps: a posture (n,), its errors, and how many they were."""
+    """The end of some steps: a posture (n,), its errors, and how many they were; a lane's, or one that all have in common."""
 
     q: Any
     away: Any
@@ -102,17 +103,23 @@ def searched_from_seeds(setup: Setup, target: Target, shared: Shared) -> Answer:
 first_from_seeds = host_kernels(1)(searched_from_seeds)
 
 
+class _Misses(NamedTuple):
+    """The nearest miss of each lane, in float64, the number of its seed, and how far it is from the target."""
+
+    lane: Lane
+    seed: Any
+    distance: Any
+
+
 class _Turn(NamedTuple):
     """Sixteen seeds after others: the number of the turn; whether it is `blind`, looks for the first posture that has the pose,
-    which most often is clear where the robot is alone; whether a lane stops when one before it has landed; the nearest miss of
-    each lane with its seed and how far it is; and the answer."""
+    which most often is clear where the robot is alone; whether a lane stops when one before it has landed; the misses so far;
+    and the answer."""
 
     number: Any
     blind: Any
     eager: Any
-    miss: Lane
-    seed: Any
-    away: Any
+    misses: _Misses
     answer: Answer
 
 
@@ -123,45 +130,51 @@ class _Search:
         self.setup, self.target, self.shared = setup, target, shared
         self.me = lax.axis_index(TEAM)
         self.limits = shared.round_low, shared.round_high, shared.weights
-        self.turns = setup.most // TEAM_SIZE + 2 * setup.rescues
         self.races = setup.alone or not setup.clear
+        seen = setup.most if setup.ends else min(setup.most, CLEAR_SEEDS)
+        self.turns = tuple(count // TEAM_SIZE + setup.ends for count in (seen, setup.most + TEAM_SIZE))  # with a rescue
         self.library = self._library() if setup.library else None
 
     def run(self) -> Answer:
         """All turns until there is an answer."""
-        answer = self._nothing()
-        q, away, turned = (x.astype(jnp.float32) for x in answer[:3])
-        miss = Lane(q, away, turned, jnp.int32(0))
-        blind = jnp.bool_(self.races)
-        begin = _Turn(jnp.int32(0), blind, blind, miss, jnp.int32(NOBODY), jnp.float64(jnp.inf), answer)
-        last = 1 if self.setup.alone and not self.setup.rescues else self.turns  # the driver makes others of a blind search
-        going = lambda turn: (turn.answer.number == NOBODY) & (turn.number < jnp.where(turn.blind, last, self.turns))
+        answer, blind = self._nothing(), jnp.bool_(self.races)
+        miss = Lane(answer.q, answer.away, answer.turned, answer.count)
+        begin = _Turn(jnp.int32(0), blind, blind, _Misses(miss, answer.number, jnp.float64(jnp.inf)), answer)
+        going = lambda turn: (turn.answer.number == NOBODY) & (turn.number < self._last(turn))
         end = lax.while_loop(going, self._turn, begin)
-        (q, away, turned, count), _ = self._taken(end.away, end.away < jnp.inf, end.miss)
+        (q, away, turned, count), _ = self._taken(end.misses.distance, end.misses.distance < jnp.inf, end.misses.lane)
         missed = Answer(q, away, turned, answer.clearance, answer.number, count)
-        pick = lambda found, missed: jnp.where(end.answer.number < NOBODY, found, missed.astype(found.dtype))
-        return jax.tree_util.tree_map(pick, end.answer, missed)
+        return jax.tree_util.tree_map(
+            lambda found, missed: jnp.where(end.answer.number < NOBODY, found, missed), end.answer, missed
+        )
+
+    def _last(self, turn: _Turn) -> Any:
+        """The number of turns."""
+        clear, blind = self.turns
+        return jnp.where(turn.blind, blind, clear) if self.races else clear
 
     def _turn(self, turn: _Turn) -> _Turn:
         """Sixteen seeds, or the rescue of the nearest misses so far."""
-        rescues = self.setup.rescues
-        rescue = ((turn.number == 1) | (turn.number == self.turns - 1)) if rescues else jnp.bool_(False)
-        first = TEAM_SIZE * jnp.where(turn.number == 0, 0, turn.number - int(rescues))
-        seed = jnp.where(rescue, turn.seed, first + self.me)
+        rescue = turn.blind & (turn.number == 1)
+        if self.setup.ends:
+            rescue |= turn.number == self._last(turn) - 1
+        first = TEAM_SIZE * jnp.where(turn.blind & (turn.number > 0), turn.number - 1, turn.number)
+        first = jnp.minimum(first, self.setup.most - TEAM_SIZE)
         steps = jnp.where((first == 0) & turn.blind, refinement.EARLY, refinement.STEPS)
-        start = jnp.where(rescue, turn.miss.q, self._starts(first))
-        ended = self._stepped(start, jnp.where(rescue, 0, steps), turn.eager)
-        away = self._distance(ended)
-        landed = jnp.where(rescue, turn.away < refinement.NEAR, self._landed(ended))
-        rank = jnp.where(rescue, turn.away, self.me.astype(away.dtype))
-        answer, hits = self._first(ended, seed, landed, rank, rescue, turn.blind)
-        again = turn.eager & ~rescue & _any(landed)  # a lane that landed in vain stopped others
-        nearer = ~rescue & ~again & (away < turn.away)
-        pick = lambda new, old: jnp.where(nearer, new, old)
-        miss, seed, away = jax.tree_util.tree_map(pick, (ended, seed, away), (turn.miss, turn.seed, turn.away))
+        ended = self._stepped(self._starts(first), jnp.where(rescue, 0, steps), turn.eager)
+        missed, near = turn.misses, turn.misses.distance < refinement.NEAR
+        pick = lambda known, new: jnp.where(rescue, known, new)
+        seed, left = pick(missed.seed, first + self.me), pick(near, self._landed(ended))
+        lane = jax.tree_util.tree_map(pick, missed.lane, _wide(ended))
+        answer, hits, lane = self._first(lane, seed, left, rescue, turn.blind)
+        again = turn.eager & ~rescue & _any(left)  # a lane that landed in vain stopped others
+        distance = self._distance(lane)
+        nearer = ~rescue & ~again & (distance < missed.distance)
+        keep = lambda new, old: jnp.where(nearer, new, old)
+        misses = jax.tree_util.tree_map(keep, _Misses(lane, seed, distance), missed)
         number = jnp.where(hits, 0, jnp.where(again, turn.number, turn.number + 1))
         blind = turn.blind & ~hits
-        return _Turn(number, blind, blind & ~again, miss, seed, away, answer)
+        return _Turn(number, blind, blind & ~again, misses, answer)
 
     # ----------------------------------------------------------------------------------------------------------------
     # Where lanes start
@@ -232,7 +245,7 @@ class _Search:
     def _finished(self, q: Any, steps: Any, creep: Any) -> Lane:
         """A posture after so many steps in float64."""
         setup, target = self.setup, self.target
-        given = q.astype(jnp.float64), target.pose, target.aim, self.limits, steps, creep
+        given = q, target.pose, target.aim, self.limits, steps, creep
         return self._inside(Lane(*settle(setup.robot, setup.tasks, refinement.FINISH, *given)))
 
     def _inside(self, lane: Lane) -> Lane:
@@ -241,25 +254,27 @@ class _Search:
             return lane
         return lane._replace(q=refinement.turned_inside(circles, self.shared.low, self.shared.high, lane.q))
 
-    def _first(self, ended: Lane, seed: Any, left: Any, rank: Any, rescue: Any, blind: Any) -> tuple[Answer, Any]:
-        """The first of the lanes that are `left`, by their rank, whose finish is an answer; and whether, where it goes blind,
-        the first that has the pose hits something."""
+    def _first(self, lane: Lane, seed: Any, left: Any, rescue: Any, blind: Any) -> tuple[Answer, Any, Lane]:
+        """The first of the lanes that are `left`, by the numbers of their seeds, whose finish is an answer; whether, where it
+        goes blind, the first that has the pose hits something; and the lanes, those that were finished in vain where that left
+        them."""
         steps = jnp.where(rescue, refinement.RESCUE, refinement.FINISHING)
         creep = jnp.where(rescue & self.races, refinement.CREEP, jnp.inf)
-        most = jnp.where(rescue, RESCUED, TEAM_SIZE)
+        rank = seed.astype(jnp.float64)
 
         def turn(state: Any) -> Any:
-            left, tries, *_ = state
-            (lane, number), mine = self._taken(rank, left, (ended, seed))
-            found = self._finished(lane.q, steps, creep)
+            left, lane, *_ = state
+            (begin, number), mine = self._taken(rank, left, (lane, seed))
+            found = self._finished(begin.q, steps, creep)
+            found = found._replace(count=found.count + begin.count)
             clearance, exact, clear = self._judged(found, blind)
-            number = jnp.where(exact & clear, number, NOBODY)
-            answer = Answer(*found[:3], clearance, number, found.count + lane.count)
-            return left & ~mine, tries + 1, blind & exact & ~clear, answer
+            answer = Answer(*found[:3], clearance, jnp.where(exact & clear, number, NOBODY), found.count)
+            vain = lambda new, old: jnp.where(mine & ~exact, new, old)
+            return left & ~mine, jax.tree_util.tree_map(vain, found, lane), blind & exact & ~clear, answer
 
-        going = lambda state: _any(state[0]) & (state[3].number == NOBODY) & ~state[2] & (state[1] < most)
-        _, _, hits, answer = lax.while_loop(going, turn, (left, jnp.int32(0), jnp.bool_(False), self._nothing()))
-        return answer._replace(q=self._at_home(answer.q)), hits
+        going = lambda state: _any(state[0]) & (state[3].number == NOBODY) & ~state[2]
+        _, lane, hits, answer = lax.while_loop(going, turn, (left, lane, jnp.bool_(False), self._nothing()))
+        return answer._replace(q=self._at_home(answer.q)), hits, lane
 
     def _at_home(self, q: Any) -> Any:
         return nearest_turns(self.setup.robot, q, self.target.home, self.shared.low, self.shared.high)
@@ -301,8 +316,14 @@ class _Search:
 
     def _distance(self, lane: Lane) -> Any:
         """How far a lane is from its target [rad, unit lengths]."""
-        away = jnp.max(lane.away.astype(jnp.float64) / self.setup.unit + lane.turned.astype(jnp.float64))
+        away = jnp.max(lane.away / self.setup.unit + lane.turned)
         return jnp.where(jnp.isnan(away), jnp.inf, away)
+
+
+def _wide(lane: Lane) -> Lane:
+    return lane._replace(
+        q=lane.q.astype(jnp.float64), away=lane.away.astype(jnp.float64), turned=lane.turned.astype(jnp.float64)
+    )
 
 
 def _any(x: Any) -> Any:

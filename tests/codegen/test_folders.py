@@ -105,8 +105,8 @@ def test_the_command_writes_a_folder(tmp_path, capsys):
     ExportArguments(robot="planar2", functions="pose, jacobian", out=tmp_path, target="aarch64").run()
     told = capsys.readouterr().out
     assert "planar2_jacobian" in told and "CMakeLists.txt" in told
-    assert {"README.md", "CMakeLists.txt", "main.c", "test.c", "planar2.h", "libplanar2.a"} == {
-        p.name for p in tmp_path.iterdir()
+    assert {p.name for p in tmp_path.iterdir()} == {
+        *("README.md", "CMakeLists.txt", "main.c", "test.c", "planar2.h", "planar2_robot.h", "libplanar2.a")
     }
     assert "aarch64" in (tmp_path / "README.md").read_text()
     with pytest.raises(ValueError, match="--functions poses: choose of pose, jacobian, "):
