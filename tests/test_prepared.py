@@ -184,6 +184,7 @@ def test_a_refusal_is_one_line(name):
 def test_without_llvmlite_it_is_by_xla(monkeypatch):
     expected = PLACE(Q)
     monkeypatch.setattr(call.machine, "llvm", lambda: None)
+    monkeypatch.setattr("jaxik.spmd.primitive._told", set())
     monkeypatch.setattr(call, "_made", {})
     with pytest.warns(UserWarning, match="without llvmlite"):
         place = jaxik.prepare(jaxik.forward_kinematics, jaxik.load("p6r"), example=(Q[0],))

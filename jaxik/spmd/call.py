@@ -28,6 +28,7 @@ from jaxik.spmd.trace import TEAM_SIZE, Traced
 
 WORTH = 20_000  # operations on vectors that are worth waking a thread for, about 10 us
 QUICK = 30_000  # operations from which LLVM's good code takes seconds, more than linearly, and is not asked for
+NO_LLVM = "without llvmlite (pip install llvmlite)"
 GUESS = 8  # turns of a loop whose number is not known
 _lock = threading.Lock()
 _made: dict[tuple[str, tuple[bool, ...]], Future[Made]] = {}
@@ -136,7 +137,7 @@ after_fork(_after_fork)
 
 def _name(digest: str, shared: tuple[bool, ...]) -> str:
     if machine.llvm() is None:
-        raise Unsupported("without llvmlite (pip install llvmlite)")
+        raise Unsupported(NO_LLVM)
     flags = "".join("s" if s else "r" for s in shared)
     return f"{cache.OURS}{hashlib.sha256(f'{digest}{flags}{QUICK}{version()}'.encode()).hexdigest()[:32]}"
 

@@ -46,6 +46,8 @@ def rows_by_xla(function: Callable[..., Any], lanes: int, *args: Any) -> Any:
     shapes = [jax.ShapeDtypeStruct(x.shape[1:] if k < rows else x.shape, x.dtype) for k, x in enumerate(leaves)]
     traced, results, more = trace(lambda *x: function(*jax.tree_util.tree_unflatten(tree, x)), shapes)
     traced.takes_kernel = False
+    if call.machine.llvm() is None:
+        warn(traced, call.NO_LLVM)
     masks = tuple((k < rows,) for k in range(len(leaves) + len(more)))
     return jax.tree_util.tree_unflatten(results, bind(traced, [*leaves, *more], leaves[0].shape[:1], masks))
 

@@ -75,7 +75,7 @@ def describe(function: Callable[..., Any], *args: Any) -> KernelReport:
             raise Unsupported("other platforms than a CPU")
         traced, _, _ = trace(flat, [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves])
         if machine.llvm() is None:
-            raise Unsupported("without llvmlite (pip install llvmlite)")
+            raise Unsupported(call.NO_LLVM)
         shared = tuple(int(np.prod(a.shape)) > 64 for a in traced.inputs)
         plan = call.plan(traced, shared, "explained")
     except Unsupported as error:

@@ -20,7 +20,7 @@ from jax.experimental import io_callback
 
 import jaxik
 from jaxik import spmd
-from jaxik.spmd import cache, call, primitive
+from jaxik.spmd import cache, call
 
 
 def arm(q, lengths):
@@ -405,7 +405,7 @@ def test_a_derivative_is_called_that_of_its_function():
 def test_without_llvmlite(monkeypatch):
     """One warning for all functions."""
     monkeypatch.setattr(call.machine, "llvm", lambda: None)
-    monkeypatch.setattr(primitive, "_told", set())
+    monkeypatch.setattr("jaxik.spmd.primitive._told", set())
     one, other = spmd.kernel(lambda q: 2.0 * q - 17.0), spmd.kernel(lambda q: 3.0 * q - 17.0)
     with pytest.warns(UserWarning, match="everything runs by XLA: a kernel cannot do without llvmlite") as told:
         close((one(Q), jax.vmap(other)(Q)), (2.0 * Q - 17.0, 3.0 * Q - 17.0))
