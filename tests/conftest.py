@@ -49,13 +49,24 @@ def pytest_sessionstart(session):
     gc.set_threshold(100_000, 50, 100)  # traces make many objects and little garbage
 
 
-def pytest_collection_modifyitems(config, items):
-    """Leaves out the tests of kernels themselves where there are none, since llvmlite is not installed or hidden
-    (`tests/without_llvmlite.sh`): those marked `kernels`, and those that refuse what is no kernel."""
+def has_kernels():
+    """Whether llvmlite is there: neither missing nor hidden (`tests/without_llvmlite.sh`)."""
     try:
         import llvmlite.binding  # noqa: F401
     except ImportError:
-        own = [x for x in items if x.get_closest_marker("kernels") or "only_kernels" in x.fixturenames]
+        return False
+    return True
+
+
+def pytest_configure(config):
+    if not has_kernels():  # the one warning that everything runs by XLA is as it should be
+        config.addinivalue_line("filterwarnings", "ignore:jaxik.kernel. everything runs by XLA:UserWarning")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Leaves out the tests of kernels themselves, those marked `kernels`, where there are none."""
+    if not has_kernels():
+        own = [x for x in items if x.get_closest_marker("kernels")]
         config.hook.pytest_deselected(items=own)
         items[:] = [x for x in items if x not in own]
 
@@ -82,10 +93,18 @@ def untyped():
 
 @pytest.fixture
 def only_kernels(monkeypatch):
-    """Refuses what goes to XLA after all: it would be compared with itself."""
-    from jaxik.spmd import primitive
+    """Refuses what goes to XLA after all: it would be compared with itself. Where there are no kernels, everything does, by a
+    program that has numbers of its own."""
+    if not has_kernels():
+        return
+    from jaxik.spmd import handle, host, primitive
 
     def refused(traced, why):
         raise AssertionError(f"{traced.name}: a kernel cannot do {why}")
 
+    def unused(self, *args, **options):
+        raise AssertionError(f"by XLA after all: {self}")
+
     monkeypatch.setattr(primitive, "warn", refused)
+    monkeypatch.setattr(handle.Handle, "_by_xla", unused)
+    monkeypatch.setattr(host.HostKernel, "by_xla", unused)

@@ -17,8 +17,7 @@ fi
 failed=()
 for area in "${areas[@]}"; do
   echo "== $area"
-  # the one warning that everything runs by XLA is as it should be
-  timeout "${LIMIT:-3600}" python -m pytest -q -W "ignore:jaxik.kernel. everything runs by XLA:UserWarning" "tests/$area"
+  timeout "${LIMIT:-3600}" python -m pytest -q "tests/$area"
   code=$?
   test $code = 0 -o $code = 5 || failed+=("$area")  # 5: an area of kernels alone
 done

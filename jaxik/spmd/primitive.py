@@ -208,8 +208,10 @@ def _by_xla(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) ->
 
 
 def _in_lanes(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
-    """The program by XLA on a CPU; as it was written where there is no such program."""
+    """The program by XLA on a CPU; as it was written where there is no such program, or an export leaves the batch open."""
     outputs = traced.outputs
+    if not all(isinstance(n, int) for n in batch):
+        return _by_xla(*args, traced=traced, batch=batch, masks=masks)
     if not math.prod(batch) or not outputs:
         return [jnp.zeros((*batch, *a.shape), a.dtype) for a in outputs]
     grid, operands, _ = _grid(args, traced, batch, masks)

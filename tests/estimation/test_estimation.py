@@ -94,8 +94,7 @@ ESTIMATORS = {
 
 @pytest.mark.usefixtures("untyped")
 @pytest.mark.parametrize("estimator", ESTIMATORS.values(), ids=ESTIMATORS)
-def test_a_loop_is_what_a_log_is(log, estimator, monkeypatch):
-    monkeypatch.setattr("jaxik.spmd.handle.Handle._by_xla", None)  # each has a kernel
+def test_a_loop_is_what_a_log_is(log, estimator, only_kernels):
     samples = list(log[0, :5])
     loop, found = ControlLoop(estimator), []
     state = loop.start(samples[0])

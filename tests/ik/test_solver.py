@@ -62,6 +62,7 @@ CASES = {
 }
 
 
+@pytest.mark.kernels(reason="the direct way is of kernels; without them a solver is the driver")
 @pytest.mark.parametrize("case", CASES)
 def test_one_target_has_the_bits_of_its_row(case):
     name, asked = CASES[case]
@@ -118,6 +119,7 @@ def test_a_posture_is_where_the_search_begins(panda):
     assert np.mean(near) > 0.8
 
 
+@pytest.mark.kernels(reason="the direct way is of kernels; without them a solver is the driver")
 def test_the_world_changes_without_compiling(panda, world):
     _, targets = poses(panda, 10)
     solver = jaxik.Solver(panda, scene=world)
@@ -133,6 +135,7 @@ def test_the_world_changes_without_compiling(panda, world):
         assert found is None or np.array_equal(found.q, row.q)
 
 
+@pytest.mark.kernels(reason="the direct way is of kernels; without them a solver is the driver")
 def test_calls_that_come_again_go_the_direct_way(panda, world, monkeypatch):
     _, targets = poses(panda, 12)
     wanted = jaxik.solve_ik(panda, targets, scene=world)

@@ -32,6 +32,7 @@ def _configurations(count, dtype):
     return jnp.asarray(0.7 * q, dtype)
 
 
+@pytest.mark.kernels(reason="the same bits in batches of any size are a promise of kernels alone")
 @pytest.mark.parametrize("name, dtype", [*((n, np.float32) for n in FUNCTIONS), *(("forward_kinematics", np.float64),)])
 def test_results_do_not_depend_on_the_batch(name, dtype):
     f, q = FUNCTIONS[name], _configurations(4096, dtype)

@@ -64,7 +64,7 @@ print("child", os.waitstatus_to_exitcode(status))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
-@pytest.mark.parametrize("code", [FORKED, WHILE_MADE])
+@pytest.mark.parametrize("code", [FORKED, pytest.param(WHILE_MADE, marks=pytest.mark.kernels(reason="one is being made"))])
 def test_threads_live_in_a_fork(code):
     """The fork of a process whose threads have run, with work under way, begins its own anew. JAX's do not, and it warns."""
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)

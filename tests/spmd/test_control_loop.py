@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxik.spmd import ControlLoop, Stepped, control_loop, handle
+from jaxik.spmd import ControlLoop, Stepped, control_loop
 
 
 class Counter(Stepped):
@@ -23,9 +23,8 @@ class Counter(Stepped):
         return state, (state["count"], state["total"])
 
 
-def test_a_loop_steps_and_compiles_once(monkeypatch):
+def test_a_loop_steps_and_compiles_once(only_kernels, monkeypatch):
     compiled = []
-    monkeypatch.setattr(handle.Handle, "_by_xla", None)
     packed_step = control_loop.PackedStep
     monkeypatch.setattr(control_loop, "PackedStep", lambda *given: compiled.append(1) or packed_step(*given))
     loop = ControlLoop(Counter())

@@ -1,5 +1,6 @@
 """A kernel as a citizen of JAX: transformations, batches, bits, caches, refusals."""
 
+import contextlib
 import os
 import pickle
 import subprocess
@@ -248,6 +249,7 @@ def test_a_model_s_large_arrays_are_traced_once():
     assert of_traced(tables[2], 7) == 14.0 and of_traced(tables[3], 7) == 98.0
 
 
+@pytest.mark.kernels(reason="objects on disk")
 def test_a_second_process_compiles_nothing(tmp_path):
     environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(tmp_path)}
     run = lambda: subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True)
@@ -296,6 +298,7 @@ def test_what_is_used_stays_on_disk(tmp_path, monkeypatch):
     assert cache.read("jaxik_1") is None and cache.read("jaxik_199") is not None
 
 
+@pytest.mark.kernels(reason="their code in a child")
 def test_a_fork_goes_on():
     """A child has its own threads, or none; jaxik's kernels keep their code, and it makes others."""
     code = (
@@ -316,6 +319,10 @@ def test_pickle():
     for kernel in (jaxik.forward_kinematics, spmd.kernel(lambda robot, q: q * robot.num_joints, models=1)):
         there, same = cloudpickle.loads(cloudpickle.dumps((kernel, robot))) if kernel(robot, q) is not None else ()
         close(there(same, q), kernel(robot, q), 0)
+
+
+@pytest.mark.kernels(reason="`run` never goes to XLA")
+def test_pickle_of_a_host_kernel():
     host = spmd.HostKernel(arm, 2)
     found = host.run(Q, LENGTHS)
     close(pickle.loads(pickle.dumps(host)).run(Q, LENGTHS), found, 0)
@@ -372,6 +379,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.kernels(reason="without any, the one warning names no cause")
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_it_cannot_do_goes_to_xla(name):
     """With one warning that says what it was."""
@@ -385,6 +393,7 @@ def test_what_it_cannot_do_goes_to_xla(name):
         jax.jit(jax.vmap(spmd.kernel(function)))(Q[:3])
 
 
+@pytest.mark.kernels(reason="without any, the one warning names no function")
 def test_a_derivative_is_called_that_of_its_function():
     def smallest(q):
         return jnp.sort(jnp.tile(q, 9))[0]
@@ -416,7 +425,7 @@ def test_an_effect_happens(name):
     make, word = EFFECTS[name]
     seen = []
     kernel = spmd.kernel(make(lambda x: seen.append(float(x))))
-    with pytest.warns(UserWarning, match=word):
+    with pytest.warns(UserWarning, match=word) if call.machine.llvm() else contextlib.nullcontext():
         close(jax.jit(kernel)(Q[0]), 2 * Q[0])
     jax.jit(lambda q: (kernel(q), 1)[1])(Q[1])
     jax.effects_barrier()

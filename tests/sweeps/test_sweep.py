@@ -24,7 +24,6 @@ from scipy.spatial.transform import Rotation
 import jaxik
 from jaxik import Reason
 from jaxik.files.documents import models_folder
-from jaxik.spmd import HostKernel
 from jaxik.sweeps.driver import _on_worker, _piece
 from jaxik.sweeps.store import StoreError
 from jaxik.sweeps.targets import directions
@@ -129,9 +128,8 @@ def test_nothing_is_missed_that_was_said_to_be_proven():
     assert np.all(found <= (coarse["between"] | ~coarse["proven"])) and np.all(alone["proven"] <= coarse["proven"])
 
 
-def test_two_leading_joints_of_which_one_turns(tmp_path, monkeypatch):
+def test_two_leading_joints_of_which_one_turns(tmp_path, only_kernels):
     """Kernels alone answer, those over 1,681 positions too."""
-    monkeypatch.setattr(HostKernel, "by_xla", None)
     turn = '[[joint]]\nname = "turn"\ntype = "revolute"\na = 0.2\nlower_deg = -60\nupper_deg = 60\n\n'
     text = (models_folder() / "p6r.toml").read_text()
     (tmp_path / "turned.toml").write_text(text.replace("[[joint]]", turn + "[[joint]]", 1))

@@ -224,8 +224,7 @@ def test_a_simulation_has_slopes():
     assert abs(slope) > 0.0 and float(slope) == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-4)
 
 
-def test_a_loop_is_what_a_simulation_is(monkeypatch):
-    monkeypatch.setattr("jaxik.spmd.handle.Handle._by_xla", None)  # it has a kernel
+def test_a_loop_is_what_a_simulation_is(only_kernels):
     reaction = Reaction(ARM, scheme="multi", task=TASK)
     expected = simulated(reaction, 4)
     loop, motions = ControlLoop(reaction), PATH.at(1e-3 * np.arange(4), 6.0)
