@@ -75,8 +75,10 @@ class _Place:
             self.settled = True
         elif is_compiled(problem):
             self.direct, self.settled = Direct(problem), True
-        elif self.coming is None and calls >= OFTEN:
-            self.coming = threads().submit(Direct, problem)
+        elif self.coming is None:
+            self.coming = threads().submit(Direct, problem) if calls >= OFTEN else None
+        elif self.coming.done() and self.coming.exception():  # without a compiler there never is a program
+            self.settled = True
 
 
 class _Kind:
