@@ -80,7 +80,7 @@ def test_what_is_cached_and_shared_cannot_be_written():
     inside = seeds.Range((0.0, -1.0), (1.0, 1.0))
     shared = [seeds.uniform(inside, 0, 3), seeds.low_discrepancy(inside, 0, 0, 8), reach_bound(ROBOT)]
     shared.append(
-        seeds._set(
+        seeds.set_of(
             ROBOT, Tasks.alone(jaxik.Task()), seeds.Range(tuple(ROBOT.lower.tolist()), tuple(ROBOT.upper.tolist())), 1.0, 0
         )
     )
