@@ -21,14 +21,14 @@ from jaxik.spatial.rotations import rotation_exp
 from jaxik.spmd import HostKernel, cache, decorator, host
 from jaxik.spmd.content import content_digest
 
+pytestmark = pytest.mark.kernels(reason="records of kernels on disk")
+
 RNG = np.random.default_rng(0)
 REPORT = """
 import functools, sys
 import numpy as np
 import jaxik
 from jaxik.spmd import HostKernel, host
-
-pytestmark = pytest.mark.kernels(reason="records of kernels on disk")
 
 count = []
 traced = host.trace
