@@ -1,8 +1,8 @@
 """One target at a time, as fast as Python calls: programs that are prepared once, and nothing else between them.
 
 Most targets are answered here, by one program: by the closed form (`branch_search`), or from the first seeds (`seed_search`).
-A target that is left, or whose answer collides, is left to the whole driver, `multistart`, which begins anew and says why there
-is none. What is answered here has the same bits as there.
+A target that has no answer there is left to the whole driver, `multistart`, which begins anew and says why there is none. What
+is answered here has the same bits as there.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.collision.bvh import decided_within, own_in
-from jaxik.collision.own_shape import told_below
+from jaxik.collision.bvh import own_in
 from jaxik.ik import seeds
 from jaxik.ik.branch_search import NOBODY, first_answers, first_clear_answers
 from jaxik.ik.enumeration import enumerable, points
@@ -34,14 +33,14 @@ Searched = Callable[[np.ndarray, np.ndarray | None], Sequence[np.ndarray]]
 
 def is_direct(problem: Problem) -> bool:
     """Whether targets of such a problem, which has one, may be answered directly."""
-    options, free = problem.options, problem.scene is None or problem.alone
+    options = problem.options
     if not problem.first_will_do or options.nearest or options.max_seeds < SEEDS or options.max_seeds % TEAM_SIZE:
         return False
     if any(task.within for task in problem.tasks.each) or len(seeds.sliding_base(problem.robot)[0]):
         return False
     if problem.strategy == "near":
         return not endless(problem.robot).any()
-    return problem.reference is None and (problem.strategy != "closed_form" or (free and enumerable(blind(problem))))
+    return problem.reference is None and (problem.strategy != "closed_form" or has_branches(problem))
 
 
 def has_branches(problem: Problem) -> bool:
@@ -57,8 +56,7 @@ class Direct:
         self._rigid = RIGID_POSE.repeated(np.eye(4)[None], double=True)
         self._search, self._told = _search(problem), None
         if problem.scene is not None and own_in(problem.scene):
-            around = decided_within(problem.scene, lambda usual: told_below(usual, problem.options.margin))
-            self._told = _clearances(problem, around)
+            self._told = _clearances(problem, problem.told)
         self._usual = _usual(problem)
 
     def __call__(self, pose: np.ndarray, home: np.ndarray | None = None) -> IKResult | None:

@@ -14,8 +14,9 @@ import numpy as np
 from jaxik.analytic.families import closed_form_obstacle
 from jaxik.checks.arrays import RIGID, is_rigid, numbers
 from jaxik.checks.options import check_collision, check_finite, check_kind, check_seed, no_such, shown
-from jaxik.collision.bvh import Grouped, at_margin, grouped, obstacles_in
+from jaxik.collision.bvh import Grouped, at_margin, decided_within, grouped, obstacles_in
 from jaxik.collision.clearances import has_geometry
+from jaxik.collision.own_shape import told_below
 from jaxik.collision.scene import Scene
 from jaxik.costs import check_cost
 from jaxik.ik import seeds, sqp_programs
@@ -196,6 +197,12 @@ class Problem:
     def asked(self, around: Grouped) -> Grouped:
         """The surroundings, which decide no further off than is asked."""
         return around if self.choice == "clearance" else at_margin(around, self.options.margin)  # that ranks what is clear
+
+    @property
+    def told(self) -> Grouped:
+        """The surroundings by which the clearance of an answer is told: the search looks no further than the margin."""
+        assert self.scene is not None
+        return decided_within(self.scene, lambda usual: told_below(usual, self.options.margin))
 
     def part(self, rows: slice) -> Problem:
         """Keeps only the targets of a slice."""

@@ -71,7 +71,8 @@ def settled(problem: Problem, lanes: Found, most: int, double: bool = True, cree
 
 def put_inside(problem: Problem, q: np.ndarray) -> np.ndarray:
     """Joints that turn all the way round, by whole turns back inside their limits."""
-    return turned_inside(problem.circles, problem.low, problem.high, q)
+    out = problem.circles & ((q < problem.low) | (q > problem.high))
+    return turned_inside(problem.circles, problem.low, problem.high, q) if out.any() else q
 
 
 def turned_inside(circles: np.ndarray, low: Any, high: Any, q: Any) -> Any:

@@ -170,7 +170,7 @@ class _Set(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def set_of(robot: Robot, tasks: Tasks, inside: Range, length: float, number: int) -> _Set:
-    # the user's seed does not change it: it is built once a robot
+    """The set of that number. The user's seed does not change it: it is built once a robot."""
     q = uniform(inside, 0, number, LATER if number else FIRST)
     frames = tasks.frames(joint_frames(robot, list(q.T)))  # what no joint moves has only one
     found = features(tasks, [np.broadcast_to(each.matrices, (len(q), 4, 4)) for each in frames], length)

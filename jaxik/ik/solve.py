@@ -18,10 +18,10 @@ from jaxtyping import Bool, Float
 
 from jaxik.checks.arrays import Array, as_numbers
 from jaxik.checks.options import check_kind
-from jaxik.collision.bvh import Grouped, decided_within, grouped_alike, own_in
+from jaxik.collision.bvh import Grouped, grouped_alike, own_in
 from jaxik.collision.clearances import link_clearances
 from jaxik.collision.contact_report import warn_of_scene
-from jaxik.collision.own_shape import own_shapes, told_below
+from jaxik.collision.own_shape import own_shapes
 from jaxik.collision.scene import Scene
 from jaxik.costs import Cost
 from jaxik.ik.branches import search
@@ -176,8 +176,7 @@ def _result(problem: Problem, outcome: Outcome) -> IKResult:
         last[ranked.target] = np.arange(len(ranked.target))
         shown = ranked.rows(last)
     if problem.scene is not None and own_in(problem.scene):  # the search looked no further than the margin
-        around = decided_within(problem.scene, lambda usual: told_below(usual, problem.options.margin))
-        shown = cleared(dataclasses.replace(problem, scene=around), shown)
+        shown = cleared(dataclasses.replace(problem, scene=problem.told), shown)
     if problem.most > 1:
         best = found.rows(far_apart(problem, found, score, problem.most, problem.options.distinct))
     best = best.rows(np.argsort(best.target, kind="stable"))
