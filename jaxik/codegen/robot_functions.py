@@ -181,6 +181,7 @@ FUNCTIONS: dict[str, RobotFunction] = {
         _ik_near, ("pose", "posture"), _ANSWER, "the same, by looking around a posture", _one_tip, double=True
     ),
 }
+"""The functions of a robot that are exported by name, each as a `RobotFunction`."""
 
 
 class Sampled(NamedTuple):

@@ -18,6 +18,7 @@ TARGETS = {
     "aarch64": Target("aarch64-unknown-linux-gnu", "generic", "+neon", 128),
     "wasm32": Target("wasm32-unknown-unknown", "generic", _WASM, 128, ("round",)),
 }
+"""The processors that functions are exported for, by name."""
 WORDS = {
     "native": "the processor that it was made on",
     "x86-64": "any x86-64 (SSE2)",
