@@ -32,7 +32,8 @@ from jaxtyping import Bool, Float, Int
 
 from jaxik.checks.arrays import Array, as_numbers, is_known, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
-from jaxik.collision.bvh import balls_of, decided_within, grouped, obstacles_in, own_in, pair_tables
+from jaxik.collision.ball_trees import balls_of
+from jaxik.collision.bvh import decided_within, grouped, obstacles_in, own_in, pair_tables
 from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_clearances
 from jaxik.collision.own_shape import CLOSE, told_below
 from jaxik.collision.scene import FAR, KINDS, Scene

@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from operator import length_hint
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from jaxik.checks.arrays import direction, numbers, rigid_frame
 from jaxik.checks.options import check_flag, shown
-from jaxik.collision.scene import KINDS, LIMIT, Boxes, Capsules, Cylinders, Mark, Points, Scene, Spheres, Triangles, remembered
+from jaxik.collision.scene import (
+    KINDS,
+    LIMIT,
+    Boxes,
+    Capsules,
+    Cylinders,
+    Mark,
+    Points,
+    Scene,
+    Spheres,
+    Triangles,
+    check_scene,
+    remembered,
+)
 from jaxik.collision.surfaces import as_bodies, polygon_triangles
 
 MOST = 2**17  # obstacles of a kind: more are a scan that wants thinning
@@ -105,6 +120,35 @@ class SceneBuilder:
         )
         remembered(scene, "checked", lambda: None)  # as each obstacle was
         return scene
+
+
+def with_object(scene: Scene, name: str, removable: Any, solid: Any, obstacles: dict[str, Any]) -> Scene:
+    """`Scene.with_`: a scene with another object, or with another one of that name."""
+    builder = SceneBuilder(scene.name)
+    builder.add(name, removable=removable, solid=solid, **obstacles)
+    if any(mark.name == name for mark in scene.marks):
+        raise ValueError(f"scene '{scene.name}': '{shown(name)}' is a mark; move it (Scene.moved), or give another name")
+    return _joined(scene, builder.scene(), *scene.numbered(name))
+
+
+def _joined(scene: Scene, one: Scene, names: tuple[str, ...], number: int) -> Scene:
+    """The scene, whose objects then have these names, with the only object of another one in the place of the object of that
+    number."""
+    kinds, owners = {}, []
+    for (kind, old, before), (_, new, _) in zip(scene.by_kind(), one.by_kind(), strict=True):
+        kept = np.flatnonzero((before >= 0) & (before != number)) if len(scene.owners[KINDS.index(kind)]) else np.zeros(0, int)
+        join = lambda a, b, kept=kept: np.concatenate([np.asarray(a)[kept], b]) if np.ndim(a) else a
+        kinds[kind] = jax.tree_util.tree_map(join, old, new)
+        owners.append((*before[kept].tolist(), *[number] * new.count))
+        _few(f"scene '{scene.name}': {kind}", len(owners[-1]))
+        room = dict(scene.room).get(kind, MOST)
+        if len(owners[-1]) > room:
+            mend = "make room for more (Scene.with_room)"
+            raise ValueError(f"scene '{scene.name}': {len(owners[-1])} {kind} with room for {room}; {mend}")
+    removable = (*scene.removable[:number], one.removable[0], *scene.removable[number + 1 :])
+    found = dataclasses.replace(scene, **kinds, object_names=names, removable=removable, owners=tuple(owners))
+    remembered(found, "checked", lambda: check_scene(scene))
+    return found
 
 
 def make_scene(*, point_radius: Any = 0.0, name: str = "scene", **obstacles: Any) -> Scene:
