@@ -10,9 +10,11 @@ import numpy as np
 
 from jaxik.checks.arrays import direction, numbers, rigid_frame
 from jaxik.checks.options import check_flag, shown
-from jaxik.collision.scene import KINDS, LIMIT, Boxes, Capsules, Cylinders, Mark, Points, Scene, Spheres, Triangles, remembered
+from jaxik.collision.scene import LIMIT, Boxes, Capsules, Cylinders, Mark, Points, Scene, Spheres, Triangles, remembered
+from jaxik.collision.scene import KINDS as ALL
 from jaxik.collision.surfaces import as_bodies, polygon_triangles
 
+KINDS = tuple(kind for kind in ALL if kind != "fields")  # those that are rows of plain numbers (`Scene.with_field`)
 MOST = 2**17  # obstacles of a kind: more are a scan that wants thinning
 
 
@@ -97,11 +99,11 @@ class SceneBuilder:
             Boxes(boxes[:, :16].reshape(-1, 4, 4), boxes[:, 16:] / 2.0),
             Cylinders(cylinders[:, :16].reshape(-1, 4, 4), cylinders[:, 16], cylinders[:, 17] / 2.0),
             Triangles(triangles[:, :3], triangles[:, 3:6], triangles[:, 6:9], triangles[:, 9]),
-            tuple(self.marks),
+            marks=tuple(self.marks),
             name=self.name,
             object_names=tuple(self.removable),
             removable=tuple(self.removable.values()),
-            owners=tuple(tuple(self.owners[k]) for k in KINDS),
+            owners=tuple(tuple(self.owners.get(k, ())) for k in ALL),
         )
         remembered(scene, "checked", lambda: None)  # as each obstacle was
         return scene
