@@ -48,8 +48,8 @@ class Grid(NamedTuple):
 
 
 class FieldGap:
-    """The gap from a swept volume to a field, whose nodes are among `values` (m,); a line's or a triangle's is infinite where it
-    is known to be no less than `most`, which is found sooner."""
+    """The gap from a swept volume to a field, whose nodes are among `values` (m,); a line's or a triangle's is infinite where
+    it is known to be no less than `most`, which is found sooner."""
 
     def __init__(self, values: Any, most: Any = jnp.inf):
         self.values, self.most = values, most
@@ -64,8 +64,9 @@ class FieldGap:
         values, half = xp.asarray(rows["values"], dtype), xp.asarray(rows["half"], dtype)
         frame = Frame.of_columns(xp.asarray(rows["world_T_field"], dtype))
         first = xp.arange(len(half), dtype=jnp.int32) * values.shape[1]
-        sizes = (xp.asarray(rows[name], dtype) for name in ("pitch", "error"))
-        return FieldGap(values.reshape(-1)), Grid(*frame, Vec3(*(half[:, i] for i in range(3))), *sizes, first)
+        pitch, error = (xp.asarray(rows[name], dtype) for name in ("pitch", "error"))
+        edges = Vec3(*(half[:, i] for i in range(3)))
+        return FieldGap(values.reshape(-1)), Grid(frame.rotation, frame.translation, edges, pitch, error, first)
 
     def __call__(self, volumes: Any, grid: Grid) -> Any:
         """How far volumes (corners, radius) are from the field at least."""
@@ -126,13 +127,17 @@ class FieldGap:
             least, (t,) = on_line(b + (more[0] - b) * s, jnp.inf)
             return least - _slack(least, grid.pitch), (t * (1.0 - s), t * s)
 
-        return (least_along(across, _length(more[0] - b), grid.pitch, self.most) if more else on_line(b, self.most))[1]
+        if not more:
+            return on_line(b, self.most)[1]
+        return least_along(across, _length(more[0] - b), grid.pitch, self.most, marks=2)[1]
 
 
-def least_along(at: Callable[[Any], tuple[Any, Any]], length: Any, pitch: Any, most: Any) -> tuple[Any, Any]:
-    """The least of `at(t)`, a bound and marks, and its marks: of a function of t in [0, 1] that changes by no more than `length`
-    over all of it. What is between two samples is no less than the least, less its `_slack`; or no less than `most`, and then
-    the marks are -1.
+def least_along(
+    at: Callable[[Any], tuple[Any, Any]], length: Any, pitch: Any, most: Any, marks: int = 1
+) -> tuple[Any, tuple[Any, ...]]:
+    """The least of `at(t)`, a bound and so many marks, and its marks: of a function of t in [0, 1] that changes by no more than
+    `length` over all of it. What is between two samples is no less than the least, less its `_slack`; or no less than `most`,
+    and then the marks are -1.
 
     A sample vouches to both sides for as much as it is more than that, and so does the next one, for that slack at least.
     """
@@ -149,11 +154,9 @@ def least_along(at: Callable[[Any], tuple[Any, Any]], length: Any, pitch: Any, m
         best = either((found[0] < best[0]) & (t <= 1.0), found, best)
         return jnp.where(t <= 1.0, onwards(t, found[0], best[0]), t), best
 
-    first = at(jnp.zeros_like(length))
-    level = most + SLACK * pitch + 0.0 * first[0]  # which is `most` with its slack taken off
+    level = jnp.zeros_like(length) + most + SLACK * pitch  # which is `most` with its slack taken off
     level = jnp.where(level > 0.0, level / (1.0 - SHARE), level)
-    best = either(first[0] < level, first, (level, tuple(-jnp.ones_like(x) for x in first[1])))
-    start = onwards(jnp.zeros_like(length), first[0], best[0]), best
+    start = jnp.zeros_like(length), (level, (-jnp.ones_like(length),) * marks)
     return lax.while_loop(lambda state: jnp.any(state[0] <= 1.0), step, start)[1]
 
 

@@ -279,7 +279,7 @@ class Space:
                     theirs = rows_from(others.columns, j, others.size)
                     places = origin + i * volumes.size, others.origin + j * others.size
                     marched = isinstance(others.gap, FieldGap) and volumes.arity > 1
-                    gap = lambda found: others.gap.below(found.distance) if marched else others.gap
+                    gap = lambda found: others.gap.below(found.distance) if marched else others.gap  # type: ignore[attr-defined]
                     inside = lambda found: _nearer(found, mine, theirs, gap(found), squares, volumes.even, places)
                     if others.size == 1 and (volumes.size > 1 or marched):  # a sphere around a long one says little
                         bound = lambda: others.gap(((ball[0],), ball[1]), jax.tree_util.tree_map(lambda x: x[0], theirs))

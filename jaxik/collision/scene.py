@@ -113,8 +113,8 @@ class Triangles(Kind):
 
 
 class Fields(Kind):
-    """Distance fields (`jaxik.fields`): grids of cubes of an edge `pitch`, out to `half` edges from the middle of each, with the
-    signed distance at their nodes, in the order of x, y and z, within `error`. Shorter rows of `values` end in zeros."""
+    """Distance fields (`jaxik.fields`): grids of cubes of an edge `pitch`, out to `half` edges from the middle of each, with
+    the signed distance at their nodes, in the order of x, y and z, within `error`. Shorter rows of `values` end in zeros."""
 
     world_T_field: Float[Array, "k 4 4"]
     half: Float[Array, "k 3"]
@@ -205,12 +205,13 @@ class Scene(Constant):
         return dataclasses.replace(self, **away)
 
     def with_field(self, field: Any, *, name: str = "field", removable: bool = True) -> Scene:
-        """The scene with a `jaxik.fields.DistanceField` as a solid, an object of that name; a field of the same name is replaced,
-        by one whose grid has no more nodes without compiling anew.
+        """The scene with a `jaxik.fields.DistanceField` as a solid, an object of that name; a field of the same name is
+        replaced, by one whose grid has no more nodes without compiling anew. Host.
 
-        Clearances to it are bounds from below (`field_gap`), and so certificates of motions hold of the true distance. What it
-        tells of ends with its grid: beyond it nothing of it stands. Volumes of the robot are measured, not its convex parts.
-        Host. Raises `ValueError` for what is no field, and for a name of another object.
+        Clearances to it are bounds from below (`field_gap`), and so certificates of motions hold of the true distance. Which of
+        several such bounds a clearance is may depend on what else is near, within an eighth of a cell and a sixteenth of the
+        distance. What the field tells of ends with its grid: beyond it nothing of it stands. The robot's volumes are measured,
+        not its convex parts. Raises `ValueError` for what is no field, and for a name of another object.
         """
         new = getattr(field, "as_solid", None)
         if new is None:
@@ -218,13 +219,13 @@ class Scene(Constant):
         if name not in self.object_names:
             names, flags = (*self.object_names, name), (*self.removable, bool(removable))
             owners = (*self.owners[:-1], (*self.owners[-1], len(self.object_names)))
-            return dataclasses.replace(
-                self, fields=self.fields.and_(new()), object_names=names, removable=flags, owners=owners
-            )
+            return dataclasses.replace(self, fields=self.fields.and_(new()), object_names=names, removable=flags, owners=owners)
         number = self.object_names.index(name)
         own = [kind for kind, owners in zip(KINDS, self.owners, strict=True) if number in owners]
         if own != ["fields"]:
-            raise ValueError(f"with_field: scene '{self.name}' has an object '{shown(name)}' that is no field; give another name")
+            raise ValueError(
+                f"with_field: scene '{self.name}' has an object '{shown(name)}' that is no field; give another name"
+            )
         kept = np.flatnonzero(np.array(self.owners[-1]) != number)
         rest = jax.tree_util.tree_map(lambda x: x[kept], self.fields)
         owners = (*self.owners[:-1], (*(self.owners[-1][i] for i in kept), number))

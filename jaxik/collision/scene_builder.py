@@ -10,8 +10,8 @@ import numpy as np
 
 from jaxik.checks.arrays import direction, numbers, rigid_frame
 from jaxik.checks.options import check_flag, shown
-from jaxik.collision.scene import LIMIT, Boxes, Capsules, Cylinders, Mark, Points, Scene, Spheres, Triangles, remembered
 from jaxik.collision.scene import KINDS as ALL
+from jaxik.collision.scene import LIMIT, Boxes, Capsules, Cylinders, Mark, Points, Scene, Spheres, Triangles, remembered
 from jaxik.collision.surfaces import as_bodies, polygon_triangles
 
 KINDS = tuple(kind for kind in ALL if kind != "fields")  # those that are rows of plain numbers (`Scene.with_field`)

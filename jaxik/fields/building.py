@@ -87,8 +87,8 @@ def cloud_field(
 def voxel_field(
     solid: Bool[np.ndarray, "x y z"], world_T_grid: Any, *, spacing: Any, truncation: Any = math.inf
 ) -> DistanceField:
-    """The distance field of cubes: those `solid` (x, y, z) voxels, of an edge `spacing` [m], whose middles are the nodes of a grid
-    in the frame `world_T_grid`. Host.
+    """The distance field of cubes: those `solid` (x, y, z) voxels, of an edge `spacing` [m], whose middles are the nodes of a
+    grid in the frame `world_T_grid`. Host.
 
     A node's distance to the middle of the nearest solid voxel is that of Euclid (Maurer, Qi, Raghavan 2003); the surface is
     between half an edge and half a diagonal nearer. The middle of both is taken, and half their difference, 0.18 edges, is
@@ -99,7 +99,9 @@ def voxel_field(
 
     solid = np.asarray(solid)
     if solid.dtype != bool or solid.ndim != 3 or not solid.any():
-        raise ValueError(f"voxel_field: solid is {solid.dtype} of shape {solid.shape}; allowed: truth values (x, y, z), some true")
+        raise ValueError(
+            f"voxel_field: solid is {solid.dtype} of shape {solid.shape}; allowed: truth values (x, y, z), some true"
+        )
     edge, padded = float(numbers("voxel_field: spacing", spacing, ())), np.pad(solid, 1)
     outside = distance_transform_edt(~padded, sampling=edge) - CUBE * edge
     inside = distance_transform_edt(padded, sampling=edge) - CUBE * edge
@@ -135,16 +137,27 @@ def _distance(robot: Robot, q: Any, around: Grouped) -> Any:
 
 def _nodes(who: str, low: Any, high: Any, spacing: Any, world_T_grid: Any) -> tuple[np.ndarray, np.ndarray]:
     """The nodes (x, y, z, 3) in the grid's frame, from its first one on, and the frame of that one in the world."""
+    least, counts, edge, at = box_of_cubes(who, low, high, spacing, world_T_grid)
+    axes = [edge * np.arange(count + 1) for count in counts.tolist()]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1), at @ frame(least)
+
+
+def box_of_cubes(
+    who: str, low: Any, high: Any, spacing: Any, world_T_grid: Any
+) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+    """A box from `low` to `high` (3,), filled up to whole cubes: its least corner, how many cubes it has along each axis, their
+    edge, and the frame of all this in the world. Raises `ValueError` for a box that has no inside, or too many cubes."""
     least, most = (numbers(f"{who}: {n}", x, (3,), finite=True) for n, x in (("low", low), ("high", high)))
     edge = float(numbers(f"{who}: spacing", spacing, (), finite=True))
     if not (edge > 0.0 and (most > least).all()):
-        raise ValueError(f"{who}: a box from {least} to {most}, spacing {edge:g} m; write high above low, and a spacing above 0")
-    counts = np.ceil((most - least) / edge - 1e-9) + 1.0
-    if np.prod(counts) > MOST:
-        raise ValueError(f"{who}: {np.prod(counts):,.0f} nodes; at most {MOST:,}: take a wider spacing or a smaller box")
-    axes = [edge * np.arange(int(count)) for count in counts]
+        mend = "write high above low, and a spacing above 0"
+        raise ValueError(f"{who}: a box from {least} to {most}, spacing {edge:g} m; {mend}")
+    counts = np.ceil((most - least) / edge - 1e-9)
+    if np.prod(counts + 1.0) > MOST:
+        many = f"{np.prod(counts + 1.0):,.0f} nodes; at most {MOST:,}"
+        raise ValueError(f"{who}: {many}: take a wider spacing or a smaller box")
     at = np.eye(4) if world_T_grid is None else np.asarray(rigid_frame(f"{who}: world_T_grid", world_T_grid))
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1), at @ frame(least)
+    return least, counts.astype(int), edge, at
 
 
 def _field(

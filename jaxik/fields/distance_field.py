@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import Array, check_known, check_shape, is_known, numbers, rigid_frame
+from jaxik.checks.arrays import Array, as_numbers, check_known, check_shape, is_known, numbers, rigid_frame
 from jaxik.checks.options import check_kind, optional, shown
 from jaxik.collision.field_gap import FieldGap
 from jaxik.collision.scene import Fields
@@ -39,9 +39,9 @@ class DistanceField(Constant):
 
     values: Float[Array, "x y z"]
     world_T_grid: Float[Array, "4 4"]
-    spacing: Float[Array, ""]
-    node_error: Float[Array, ""] = 0.0  # type: ignore[assignment]
-    truncation: Float[Array, ""] = math.inf  # type: ignore[assignment]
+    spacing: Any
+    node_error: Any = 0.0
+    truncation: Any = math.inf
 
     def __post_init__(self) -> None:
         who = "DistanceField"
@@ -76,8 +76,8 @@ class DistanceField(Constant):
         half = self.corners[1] / 2.0
         world_T_field = np.array(self.world_T_grid, np.float64)
         world_T_field[:3, 3] += world_T_field[:3, :3] @ half
-        sizes = (np.array([float(x)]) for x in (self.spacing, self.node_error))
-        return Fields(world_T_field[None], half[None], *sizes, np.asarray(self.values).reshape(1, -1))
+        pitch, error = (np.array([float(x)]) for x in (self.spacing, self.node_error))
+        return Fields(world_T_field[None], half[None], pitch, error, np.asarray(self.values).reshape(1, -1))
 
     def moved(self, a_T_world: Any) -> DistanceField:
         """The same field as seen from another frame: all its points `p` become `a_T_world @ p`. Raises `ValueError` for what is
@@ -98,7 +98,7 @@ class DistanceField(Constant):
                 group.create_array(name, data=array)
         else:
             with file.open("wb") as stream:
-                np.savez_compressed(stream, **arrays)
+                np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
 NAMES = ("values", "world_T_grid", "spacing", "node_error", "truncation")
@@ -135,7 +135,7 @@ def field_distance(field: DistanceField, point: Float[Array, "3"]) -> Float[jax.
     the grid. Its gradient is the interpolant's, which jumps from cell to cell. NaN in the point is NaN.
     """
     check_kind("field_distance", "field", field, DistanceField)
-    return _interpolated(_solid(field), jnp.asarray(point))
+    return _interpolated(*_as_wide(field, point))
 
 
 def field_bound(field: DistanceField, point: Float[Array, "3"]) -> Float[jax.Array, ""]:
@@ -143,16 +143,20 @@ def field_bound(field: DistanceField, point: Float[Array, "3"]) -> Float[jax.Arr
     clearances use it. Traced.
 
     With f the interpolant less `node_error`, and e at the point between 0, at a node, and half a cell's diagonal, it is
-    `f - e^2 / max(f, e)` (`collision.field_gap`): half a diagonal short at a surface, and `e^2 / f` away from it. What the field
-    tells of ends with its grid: from a point beyond, nothing is nearer than the grid.
+    `f - e^2 / max(f, e)` (`collision.field_gap`): half a diagonal short at a surface, and `e^2 / f` away from it. What the
+    field tells of ends with its grid: from a point beyond, nothing is nearer than the grid.
     """
     check_kind("field_bound", "field", field, DistanceField)
-    return _bounded(_solid(field), jnp.asarray(point))
+    return _bounded(*_as_wide(field, point))
 
 
-def _solid(field: DistanceField) -> Any:
-    """The numbers of a field as kernels take them: values, frame, spacing and how far nodes are off."""
-    return field.values, field.world_T_grid, jnp.asarray(field.spacing), jnp.asarray(field.node_error)
+def _as_wide(field: DistanceField, point: Any) -> tuple[Any, Any]:
+    """The numbers of a field as kernels take them, and the point: all as wide as the point, since a kernel would turn node by
+    node."""
+    point = as_numbers("field: point", point, (3,))
+    point = point.astype(jnp.result_type(point, jnp.float32))
+    numbers = field.values, field.world_T_grid, field.spacing, field.node_error
+    return tuple(jnp.asarray(x, point.dtype) for x in numbers), point
 
 
 @kernel

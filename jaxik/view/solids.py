@@ -72,7 +72,7 @@ def scene_solids(scene: Scene) -> list[Solid]:
 
 
 def scene_points(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """The scene's points (k, 3) [m], those of fields at their surfaces, and the names (k,) of the objects that they belong to."""
+    """The scene's points (k, 3) [m], those of fields at surfaces, and the names (k,) of the objects that they belong to."""
     kinds = [*scene.by_kind()]
     points, owners = kinds[0][1:]
     parts = [(np.asarray(points.center, float), owners)]

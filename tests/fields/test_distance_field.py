@@ -101,7 +101,9 @@ def test_gradients_are_those_of_differences(field):
     with jax.enable_x64(True):
         for f in (field_distance, field_bound):
             gradient = np.asarray(jax.vmap(jax.grad(f, 1), EVERY)(field, points))
-            ends = [[np.asarray(jax.vmap(f, EVERY)(field, points + s * 1e-6 * np.eye(3)[k])) for s in (1, -1)] for k in range(3)]
+            ends = [
+                [np.asarray(jax.vmap(f, EVERY)(field, points + s * 1e-6 * np.eye(3)[k])) for s in (1, -1)] for k in range(3)
+            ]
             assert np.abs(gradient - np.transpose([(a - b) / 2e-6 for a, b in ends])).max() < 1e-6
 
 
