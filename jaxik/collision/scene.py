@@ -173,8 +173,10 @@ class Scene(Constant):
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many obstacles of each kind there are, without padding and what was taken away; of a traced scene with them."""
-        return {kind: int(np.sum(getattr(self, kind).there)) for kind in KINDS}
+        """How many obstacles of each kind there are, without padding and what was taken away; of a traced scene with them.
+        Fields are among them where there are any."""
+        found = {kind: int(np.sum(getattr(self, kind).there)) for kind in KINDS}
+        return {kind: count for kind, count in found.items() if count or kind != "fields"}
 
     def __str__(self) -> str:
         """One line: the objects and marks that are there, and how many obstacles they have."""

@@ -32,8 +32,8 @@ def scene_field(
     """The distance field of a scene's solids in a box from `low` to `high` (3,) [m], along the axes of `world_T_grid` or of the
     world, with nodes `spacing` [m] apart. Host.
 
-    Its nodes are exact: the signed distance of `clearance`, of overlapping solids the deepest one's. Of solids beyond the box
-    distances are known inside of it; but what the field tells of ends with the box. Raises `ValueError` for a scene that is
+    Its nodes are exact: the signed distance of `clearance`, of overlapping solids the deepest one's. Solids beyond the box
+    count for distances inside of it; but what the field tells of ends with the box. Raises `ValueError` for a scene that is
     empty or has a field, for a box that has no inside or too many nodes.
     """
     check_kind("scene_field", "scene", scene, Scene)

@@ -16,6 +16,7 @@ from jaxik.checks.options import as_count, shown
 from jaxik.pytree import Constant, static
 
 NEAR, FAR = 0.1, 10.0  # [m] that depth cameras measure, unless told otherwise
+BEYOND = 20.0  # of `far`: metres that are no metres
 
 
 class Camera(Constant):
@@ -72,19 +73,17 @@ class Camera(Constant):
     def depth(self, given: Any) -> np.ndarray:
         """A depth image (height, width) as metres, float32, NaN where it has no measurement between near and far. Host.
 
-        Warns of an image that is all beyond `far` by a hundred times, which is in millimetres. Raises `ValueError` for another
+        Warns of an image of which more than half is beyond 20 times `far`: it is in millimetres. Raises `ValueError` for another
         shape.
         """
         image = numbers("depth", given, (self.height, self.width)).astype(np.float32)
-        measured = image[np.isfinite(image) & (image > 0.0)]
-        if measured.size and np.median(measured) > 20.0 * self.far:
-            middle = float(np.median(measured))
-            warnings.warn(
-                f"depth: half of the image is beyond {middle:g} m, and the camera's far is {self.far:g} m; is it in"
-                " millimetres? give depth / 1000",
-                stacklevel=2,
-            )
         with np.errstate(invalid="ignore"):
+            if 2 * np.count_nonzero(image > BEYOND * self.far) > np.count_nonzero(image > 0.0):
+                warnings.warn(
+                    f"depth: most of the image is beyond {BEYOND * self.far:g} m, {BEYOND:g} times the camera's far; is it"
+                    " in millimetres? give depth / 1000",
+                    stacklevel=2,
+                )
             return np.where((image >= self.near) & (image <= self.far), image, np.float32(np.nan))
 
     def points(self, depth: Any, world_T_camera: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What is taken out of depth images and their points: flying pixels, neighbours in a voxel, and the robot's own body."""
+"""Filters of depth images and their points: flying pixels, neighbours in a voxel, and the robot's own body."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
 
-def without_flying_pixels(depth: Float[np.ndarray, "h w"], *, jump: Any = 0.05) -> Float[np.ndarray, "h w"]:
+def without_flying_pixels(image: Float[np.ndarray, "h w"], *, jump: Any = 0.05) -> Float[np.ndarray, "h w"]:
     """A depth image with NaN at pixels whose depth differs from one of their four neighbours' by more than `jump` [m]: at the
     edge of a thing a camera mixes what is near and what is far, and shows points that hang between. Host.
 
     Surfaces that are seen at a grazing angle go, too: at a depth z and f pixels of focal length by an angle below
     `z / (f jump)`. Neighbours without a depth do not count.
     """
-    image, most = numbers("without_flying_pixels: depth", depth, ("h", "w")), float(numbers("jump", jump, ()))
+    given, most = numbers("without_flying_pixels: image", image, ("h", "w")), float(numbers("jump", jump, ()))
     check_finite("without_flying_pixels", jump=most)
-    flying = np.zeros(image.shape, bool)
+    flying = np.zeros(given.shape, bool)
     for axis in (0, 1):
         with np.errstate(invalid="ignore"):
-            jumps = np.abs(np.diff(image, axis=axis)) > most
+            jumps = np.abs(np.diff(given, axis=axis)) > most
         before, after = ((0, 1), (1, 0))
         for pad in (before, after):
             flying |= np.pad(jumps, [pad if k == axis else (0, 0) for k in range(2)])
-    return np.where(flying, np.nan, image).astype(np.float32)
+    return np.where(flying, np.nan, given).astype(np.float32)
 
 
 def thinned(points: Float[np.ndarray, "... 3"], size: Any) -> Float[np.ndarray, "k 3"]:

@@ -1,4 +1,4 @@
-"""What cameras have seen of a space: voxels that are free, that hold something, and that no camera has seen."""
+"""Voxels that cameras have seen to be free, those that hold something, and those that no camera has seen."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.pytree import Constant
 from jaxik.sensing.camera import Camera
 from jaxik.sensing.filters import robot_mask
-from jaxik.sensing.voxels import HALF_DIAGONAL, View, seen_free
+from jaxik.sensing.voxels import HALF_DIAGONAL, View, hit, seen_free
 from jaxik.spatial.rotations import frame
 
 UNSEEN, FREE, OCCUPIED = range(3)
@@ -64,9 +64,7 @@ class Occupancy(Constant):
         image = camera.depth(depth)
         free = seen_free(self.view(camera, pose), image, off).reshape(self.state.shape)
         state = np.where(free & (self.state == UNSEEN), np.uint8(FREE), self.state)
-        points = camera.points(image, pose).reshape(-1, 3)
-        voxels = self._voxels(points[np.isfinite(points[:, 0])])
-        state[tuple(voxels.T)] = OCCUPIED
+        state.reshape(-1)[hit(self.view(camera, pose), image)] = OCCUPIED
         return dataclasses.replace(self, state=state, noise=np.maximum(self.noise, off))
 
     def without_robot(self, robot: Robot, q: Float[Array, " n"], *, growth: Any = 0.02) -> Occupancy:
@@ -124,9 +122,3 @@ class Occupancy(Constant):
         """The grid as a camera at a pose sees it."""
         camera_T_grid = np.linalg.inv(pose) @ np.asarray(self.world_T_grid)
         return View(camera_T_grid[:3], float(self.spacing), np.array(self.state.shape), camera.numbers)
-
-    def _voxels(self, points: np.ndarray) -> np.ndarray:
-        """The voxels (k, 3) that points are in, none of those beyond the grid."""
-        at = np.asarray(self.world_T_grid, np.float64)
-        found = np.floor((points - at[:3, 3]) @ at[:3, :3] / float(self.spacing) + 0.5).astype(int)
-        return found[np.all((found >= 0) & (found < self.state.shape), axis=1)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, NamedTuple
 
@@ -24,6 +25,11 @@ class View(NamedTuple):
     counts: Any
     camera: Any
 
+    @property
+    def single(self) -> View:
+        """The same in float32, as kernels take it."""
+        return View(*(np.asarray(x, np.float32) for x in self))
+
     def place(self, number: Any) -> tuple[Any, Any, Any]:
         """The middle of a voxel, by its number, in the camera's frame."""
         in_slice = self.counts[1] * self.counts[2]
@@ -33,6 +39,42 @@ class View(NamedTuple):
         k = rest - j * self.counts[2]
         T, h = self.camera_T_grid, self.spacing
         return tuple(T[r, 3] + h * (T[r, 0] * i + T[r, 1] * j + T[r, 2] * k) for r in range(3))  # type: ignore[return-value]
+
+
+@functools.lru_cache(maxsize=4)
+def _numbers(count: int) -> np.ndarray:
+    """The numbers from 0 to `count`, not counted, as rows of a kernel."""
+    found = np.arange(count, dtype=np.float32)
+    found.setflags(write=False)
+    return found
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Occupied voxels
+
+
+def hit(view: View, depth: np.ndarray) -> np.ndarray:
+    """The numbers of the voxels in which the points of a depth image are, those beyond the grid left out; some stand twice."""
+    inverse = np.linalg.inv(np.vstack([view.camera_T_grid, [0.0, 0.0, 0.0, 1.0]]))[:3]
+    fixed = view._replace(camera_T_grid=inverse).single, np.float32(depth.shape[1])
+    (found,) = in_blocks(_HIT, _numbers(depth.size), depth.ravel(), fixed=fixed, double=False)
+    return found[found >= 0]
+
+
+def _hit(pixel: Any, depth: Any, view: View, width: Any) -> Any:
+    """The voxel that a pixel's point is in, -1 for none; the view has the camera's frame in the grid's."""
+    fx, fy, cx, cy = (view.camera[i] for i in range(4))
+    v = jnp.floor((pixel + 0.5) / width)
+    local = (pixel - v * width - cx) / fx * depth, (v - cy) / fy * depth, depth
+    T, inside, number = view.camera_T_grid, depth > 0.0, jnp.zeros_like(pixel)
+    for r in range(3):
+        at = jnp.floor((T[r, 0] * local[0] + T[r, 1] * local[1] + T[r, 2] * local[2] + T[r, 3]) / view.spacing + 0.5)
+        inside &= (at >= 0.0) & (at < view.counts[r])
+        number = number * view.counts[r] + at
+    return jnp.where(inside, number, -1.0).astype(jnp.int32)
+
+
+_HIT = HostKernel(_hit, 2)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -59,9 +101,8 @@ def seen_free(view: View, depth: np.ndarray, noise: float) -> np.ndarray:
     around it covers has a depth that is further away than the ball's far end, by `noise` at least."""
     least, levels = pyramid(depth)
     size = np.array([depth.shape[1], depth.shape[0]], np.float32)
-    number = np.arange(int(np.prod(view.counts)), dtype=np.float32)
-    fixed = View(*(np.asarray(x, np.float32) for x in view)), least, levels, size, np.float32(noise)
-    return in_blocks(_FREE, number, fixed=fixed, double=False)[0]
+    fixed = view.single, least, levels, size, np.float32(noise)
+    return in_blocks(_FREE, _numbers(int(np.prod(view.counts))), fixed=fixed, double=False)[0]
 
 
 def _free(number: Any, view: View, least: Any, levels: Any, size: Any, noise: Any) -> Any:
@@ -100,9 +141,8 @@ def fused(view: View, depth: np.ndarray, values: np.ndarray, weights: np.ndarray
     far the surface at its pixel is behind it along the ray, no more than the `truncation`; nothing where it is further before
     it."""
     size = np.array([depth.shape[1], depth.shape[0]], np.float32)
-    number = np.arange(len(values), dtype=np.float32)
-    fixed = View(*(np.asarray(x, np.float32) for x in view)), depth.ravel(), size, np.array([truncation, most], np.float32)
-    return in_blocks(_FUSED, number, values, weights, fixed=fixed, double=False)
+    fixed = view.single, depth.ravel(), size, np.array([truncation, most], np.float32)
+    return in_blocks(_FUSED, _numbers(len(values)), values, weights, fixed=fixed, double=False)
 
 
 def _fused(number: Any, value: Any, weight: Any, view: View, depth: Any, size: Any, limits: Any) -> tuple[Any, Any]:

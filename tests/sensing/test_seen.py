@@ -1,4 +1,4 @@
-"""What is free, what is occupied and what no camera has seen, of a cell that MuJoCo renders from three sides."""
+"""Free, occupied and unseen voxels of a cell that MuJoCo renders from three sides."""
 
 import dataclasses
 
@@ -104,7 +104,7 @@ def test_fused_images_are_near_the_surface(images, points):
 
 
 def test_the_fused_value_is_the_mean_of_the_images():
-    """Of a wall straight ahead, node by node."""
+    """Node by node, before a wall straight ahead."""
     fused, walls = TSDF.empty([-0.1, -0.1, 0.5], [0.1, 0.1, 1.5], spacing=0.05, truncation=0.2), (1.0, 1.04)
     for wall in walls:
         fused = fused.with_depth(CAMERA, np.full((120, 160), wall), np.eye(4))
