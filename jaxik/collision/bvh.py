@@ -22,14 +22,14 @@ from jaxik.collision.ball_trees import FAN, balls_around, balls_of, by_place, jo
 from jaxik.collision.leaf_rows import SLACK, Balls
 from jaxik.collision.own_shape import CLOSE, Own, once, own_shapes, shape_of, told_below
 from jaxik.collision.refit import Groups
-from jaxik.collision.scene import FAR, SHAPES, SIZES_OF, Scene, check_scene, remembered, with_zeros
+from jaxik.collision.scene import FAR, NODES, SHAPES, SIZES_OF, Scene, check_scene, remembered, with_zeros
 from jaxik.collision.volumes import local_volumes
 from jaxik.kinematics.link_distance_table import PairTable
 from jaxik.kinematics.robot import Robot, geometry_between, solid_links
 from jaxik.pytree import static
 
 # obstacles a leaf, where there are a few
-LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1, "triangles": 1}
+LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1, "triangles": 1, "fields": 1}
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
 
 
@@ -234,7 +234,8 @@ def _obstacles(
     last = np.minimum(first + fan, ends[group + 1])
     ignores = (masks[:-1] if by_object else keys)[group].astype(np.int32)
     room = max(leaves, len(first), -(-len(radius) // size))  # with what is taken away: one kernel serves before and after
-    room = max(next((n for n in LEAVES if n >= room), room) if known else room, least.room)
+    more = known and kind != "fields"  # which are few and large
+    room = max(next((n for n in LEAVES if n >= room), room) if more else room, least.room)
     balls = balls_around(center[order].reshape(-1, size, 3), radius[order].reshape(-1, size), xp)
     filled, numbered = lambda x: with_zeros(x, room, xp), lambda x: with_zeros(x.astype(np.int32), room, np)
     placed = lambda x: x if np.ndim(x) == 0 else with_zeros(xp.asarray(x)[order], room * size, xp)
@@ -298,7 +299,7 @@ def _in_leaves(groups: list[np.ndarray], size: int, center: np.ndarray | None) -
 
 def extent(rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
     """The centres (k, 3) and radii (k,) of spheres around obstacles."""
-    place, *more = (x for name, x in rows.items() if name not in SIZES_OF)
+    place, *more = (x for name, x in rows.items() if name not in (*SIZES_OF, NODES))
     if place.shape[1:] == (4, 4):
         half = rows["half"]
         square = xp.sum(half**2, axis=1) if half.ndim > 1 else half**2

@@ -93,7 +93,7 @@ def explain(robot: Robot, scene: Scene | None, q: Float[Array, " n"], *, count: 
     check_geometry(robot)
     volumes = skeletons(robot, posture.tolist(), np.float64)
     with jax.enable_x64(True):
-        if own_in(grouped(None, robot)):
+        if own_in(grouped(None, robot)) or (scene is not None and scene.fields.count):
             contacts = every_contact(robot, scene, posture[None], below)[0][:count]
         else:
             pairs = [*_with_scene(robot, scene, volumes), *_with_itself(robot, volumes, robot.self_pairs)]
@@ -178,7 +178,7 @@ def _with_scene(robot: Robot, scene: Scene | None, volumes: dict[int, Skeleton],
         meet[[what in ("*", name) for name in (*scene.object_names, "")], link] = False
     meet ^= ignored
     for kind, obstacles, owners in scene.by_kind():
-        if len(owners):
+        if len(owners) and kind != "fields":  # which `every_contact` knows
             gap, others = obstacles_of(kind, vars(obstacles), np.float64, np)
             yield from (_Pairs(gap, skeleton, others, owners, meet) for skeleton in volumes.values())
             if kind == "triangles":

@@ -20,6 +20,7 @@ from jax import lax
 from jaxik.checks.arrays import is_known
 from jaxik.collision import bvh, distance
 from jaxik.collision.bvh import Grouped, RobotTrees
+from jaxik.collision.field_gap import FieldGap
 from jaxik.collision.leaf_rows import Found, as_columns, count_of, entry, nearest_of, row_at, rows_from
 from jaxik.collision.own_pairs import Exact, Parts
 from jaxik.collision.own_shape import OwnParts, OwnSurfaces
@@ -200,6 +201,8 @@ class Space:
             return _nearer(found, mine, rows, others.gap, False, False, places)
 
         model = lambda found: self._leaves(p, j, j + 1, others, found, row_at(others.leaves, j))
+        if isinstance(others.gap, FieldGap):  # which is measured to volumes alone
+            return self._if_near(found, ball, row_at(others.leaves, j), model)
         return self._if_near(found, ball, row_at(others.leaves, j), own.leaf(p, others, j, model, nearer))
 
     def counts(self, p: Any, k: int, b: Any) -> Any:
@@ -275,8 +278,10 @@ class Space:
                 def other(j: Any, found: Found) -> Found:
                     theirs = rows_from(others.columns, j, others.size)
                     places = origin + i * volumes.size, others.origin + j * others.size
-                    inside = lambda found: _nearer(found, mine, theirs, others.gap, squares, volumes.even, places)
-                    if others.size == 1 and volumes.size > 1:  # a sphere around a long one says little
+                    marched = isinstance(others.gap, FieldGap) and volumes.arity > 1
+                    gap = lambda found: others.gap.below(found.distance) if marched else others.gap  # type: ignore[attr-defined]
+                    inside = lambda found: _nearer(found, mine, theirs, gap(found), squares, volumes.even, places)
+                    if others.size == 1 and (volumes.size > 1 or marched):  # a sphere around a long one says little
                         bound = lambda: others.gap(((ball[0],), ball[1]), jax.tree_util.tree_map(lambda x: x[0], theirs))
                         inside = lambda found, near=inside: self._if(bound() < found.distance, near, found)
                     if long:
@@ -402,7 +407,7 @@ class Space:
         apart = self.own.apart
         yield self.own, self.own.first, self.own, self.own, apart(skeleton_gap)
         for k, others in enumerate(self.others):
-            if not around <= k < self.inner:
+            if not around <= k < self.inner and not isinstance(others.gap, FieldGap):
                 yield self.own, self.own.first, others, None, apart(others.gap) if k < self.inner else depth
 
     def volume(self, volumes: Any, i: Any) -> Any:

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxik.collision.ball_trees import balls_around, runs
 from jaxik.collision.leaf_rows import SLACK, Balls
-from jaxik.collision.scene import FAR, SIZES_OF, Change, Scene, places_after
+from jaxik.collision.scene import FAR, NODES, SIZES_OF, Change, Scene, places_after
 from jaxik.pytree import replaced
 
 
@@ -53,7 +53,7 @@ class Groups:
 
 def _refitted(obstacles: Any, rows: np.ndarray, pose: Any) -> Any:
     """One kind of obstacles, some rows of which have moved."""
-    kept = {name: x if name in SIZES_OF else _put(x, rows, pose) for name, x in obstacles.rows.items()}
+    kept = {name: x if name in (*SIZES_OF, NODES) else _put(x, rows, pose) for name, x in obstacles.rows.items()}
     size = len(next(iter(kept.values()))) // len(obstacles.leaves.radius)
     if size == 1:
         touched, leaves = rows, Balls(_put(obstacles.leaves.center, rows, pose), obstacles.leaves.radius)

@@ -33,9 +33,11 @@ SHAPES: dict[str, dict[str, Shape]] = {  # of k obstacles; the points' radius is
     "boxes": {"world_T_box": ("k", 4, 4), "half": ("k", 3)},
     "cylinders": {"world_T_cylinder": ("k", 4, 4), "radius": ("k",), "half": ("k",)},
     "triangles": {"a": ("k", 3), "b": ("k", 3), "c": ("k", 3), "solid": ("k",)},
+    "fields": {"world_T_field": ("k", 4, 4), "half": ("k", 3), "pitch": ("k",), "error": ("k",), "values": ("k", "m")},
 }
 KINDS = tuple(SHAPES)
-SIZES_OF = ("radius", "half", "solid")  # which of the fields say how large and what, not where
+SIZES_OF = ("radius", "half", "solid", "pitch", "error")  # which of the fields say how large and what, not where
+NODES = "values"  # of a field's nodes: neither where nor how large
 
 
 class Change(NamedTuple):
@@ -60,7 +62,7 @@ class Kind(Constant):
     @property
     def places(self) -> dict[str, Any]:
         names = [field.name for field in dataclasses.fields(self)]
-        return {name: getattr(self, name) for name in names if name not in SIZES_OF}
+        return {name: getattr(self, name) for name in names if name not in (*SIZES_OF, NODES)}
 
     @property
     def count(self) -> int:
@@ -142,6 +144,29 @@ class Triangles(Kind):
     solid: Float[Array, " k"]
 
 
+class Fields(Kind):
+    """Distance fields (`jaxik.fields`): grids of cubes of an edge `pitch`, out to `half` edges from the middle of each, with
+    the signed distance at their nodes, in the order of x, y and z, within `error`. Shorter rows of `values` end in zeros."""
+
+    world_T_field: Float[Array, "k 4 4"]
+    half: Float[Array, "k 3"]
+    pitch: Float[Array, " k"]
+    error: Float[Array, " k"]
+    values: Float[Array, "k m"]
+
+    @classmethod
+    def none(cls) -> Fields:
+        """No field at all."""
+        return cls(np.zeros((0, 4, 4)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 0), np.float32))
+
+    def and_(self, more: Fields) -> Fields:
+        """These and more."""
+        width = max(self.values.shape[1], more.values.shape[1])
+        filled = lambda x: np.pad(x, ((0, 0), (0, width - x.shape[1]))) if x.shape[1] < width else x
+        wide = [dataclasses.replace(each, values=filled(each.values)) for each in (self, more) if each.count]
+        return jax.tree_util.tree_map(lambda *x: np.concatenate(x) if len(x) > 1 else x[0], *wide)
+
+
 class Mark(Constant):
     """A named place in a scene, where the tip may be sent: `position` [m], and the `axis` (unit) that it may turn about."""
 
@@ -170,6 +195,7 @@ class Scene(Constant):
     boxes: Boxes
     cylinders: Cylinders
     triangles: Triangles
+    fields: Fields = dataclasses.field(default_factory=Fields.none)
     marks: tuple[Mark, ...] = ()
     name: str = static(default="scene")
     object_names: tuple[str, ...] = static(default=())
@@ -185,8 +211,10 @@ class Scene(Constant):
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many obstacles of each kind there are, without padding and what was taken away; of a traced scene with them."""
-        return {kind: int(np.sum(getattr(self, kind).there)) for kind in KINDS}
+        """How many obstacles of each kind there are, without padding and what was taken away; of a traced scene with them.
+        Fields are among them where there are any."""
+        found = {kind: int(np.sum(getattr(self, kind).there)) for kind in KINDS}
+        return {kind: count for kind, count in found.items() if count or kind != "fields"}
 
     def __str__(self) -> str:
         """One line: the objects and marks that are there, and how many obstacles they have."""
@@ -221,6 +249,33 @@ class Scene(Constant):
         """The names of all objects with that one, and its number."""
         names = self.object_names if name in self.object_names else (*self.object_names, name)
         return names, names.index(name)
+
+    def with_field(self, field: Any, *, name: str = "field", removable: bool = True) -> Scene:
+        """The scene with a `jaxik.fields.DistanceField` as a solid, an object of that name; a field of the same name is
+        replaced, by one whose grid has no more nodes without compiling anew. Host.
+
+        Clearances to it are bounds from below (`field_gap`), and so certificates of motions hold of the true distance. Which of
+        several such bounds a clearance is may depend on what else is near, within an eighth of a cell and a sixteenth of the
+        distance. What the field tells of ends with its grid: beyond it nothing of it stands. The robot's volumes are measured,
+        not its convex parts. Raises `ValueError` for what is no field, and for a name of another object.
+        """
+        new = getattr(field, "as_solid", None)
+        if new is None:
+            raise ValueError(f"with_field: {type(field).__name__}; give a jaxik.fields.DistanceField")
+        if name not in self.object_names:
+            names, flags = (*self.object_names, name), (*self.removable, bool(removable))
+            owners = (*self.owners[:-1], (*self.owners[-1], len(self.object_names)))
+            return dataclasses.replace(self, fields=self.fields.and_(new()), object_names=names, removable=flags, owners=owners)
+        number = self.object_names.index(name)
+        own = [kind for kind, owners in zip(KINDS, self.owners, strict=True) if number in owners]
+        if own != ["fields"]:
+            raise ValueError(
+                f"with_field: scene '{self.name}' has an object '{shown(name)}' that is no field; give another name"
+            )
+        kept = np.flatnonzero(np.array(self.owners[-1]) != number)
+        rest = jax.tree_util.tree_map(lambda x: x[kept], self.fields)
+        owners = (*self.owners[:-1], (*(self.owners[-1][i] for i in kept), number))
+        return dataclasses.replace(self, fields=rest.and_(new()), owners=owners)
 
     def _index(self, given: Any) -> int:
         """The number of the object that an index or a name means."""
@@ -327,6 +382,9 @@ class Scene(Constant):
         """
         each = [scene.geometry() for scene in scenes]
         sizes = {kind: max(getattr(one, kind).count for one in each) for kind in KINDS}
+        grids = {one.fields.values.shape for one in each}
+        if len(grids) > 1:
+            raise ValueError(f"stacked: scenes with fields of {' and '.join(map(str, sorted(grids)))} nodes; give each as many")
         alike = [{kind: _filled(getattr(one, kind), size) for kind, size in sizes.items()} for one in each]
         return jax.tree_util.tree_map(lambda *x: jnp.stack(x), *(cls(**kinds) for kinds in alike))
 
@@ -400,6 +458,8 @@ def _moved_away(obstacles: Any, mask: np.ndarray) -> Any:
 
 def _padded(obstacles: Any) -> Any:
     """Fills obstacles up to the next of `SIZES`; where there are more they stay."""
+    if isinstance(obstacles, Fields):  # few and large
+        return obstacles
     return _filled(obstacles, next((s for s in SIZES if s >= obstacles.count), obstacles.count))
 
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from jaxik.checks.arrays import direction, numbers, rigid_frame
 from jaxik.checks.options import check_flag, shown
+from jaxik.collision.scene import KINDS as ALL
 from jaxik.collision.scene import (
-    KINDS,
     LIMIT,
     Boxes,
     Capsules,
@@ -28,6 +28,7 @@ from jaxik.collision.scene import (
 )
 from jaxik.collision.surfaces import as_bodies, polygon_triangles
 
+KINDS = tuple(kind for kind in ALL if kind != "fields")  # those that are rows of plain numbers (`Scene.with_field`)
 MOST = 2**17  # obstacles of a kind: more are a scan that wants thinning
 
 
@@ -112,11 +113,11 @@ class SceneBuilder:
             Boxes(boxes[:, :16].reshape(-1, 4, 4), boxes[:, 16:] / 2.0),
             Cylinders(cylinders[:, :16].reshape(-1, 4, 4), cylinders[:, 16], cylinders[:, 17] / 2.0),
             Triangles(triangles[:, :3], triangles[:, 3:6], triangles[:, 6:9], triangles[:, 9]),
-            tuple(self.marks),
+            marks=tuple(self.marks),
             name=self.name,
             object_names=tuple(self.removable),
             removable=tuple(self.removable.values()),
-            owners=tuple(tuple(self.owners[k]) for k in KINDS),
+            owners=tuple(tuple(self.owners.get(k, ())) for k in ALL),
         )
         remembered(scene, "checked", lambda: None)  # as each obstacle was
         return scene
@@ -126,9 +127,10 @@ def with_object(scene: Scene, name: str, removable: Any, solid: Any, obstacles: 
     """`Scene.with_`: a scene with another object, or with another one of that name."""
     builder = SceneBuilder(scene.name)
     builder.add(name, removable=removable, solid=solid, **obstacles)
-    if any(mark.name == name for mark in scene.marks):
-        raise ValueError(f"scene '{scene.name}': '{shown(name)}' is a mark; move it (Scene.moved), or give another name")
-    return _joined(scene, builder.scene(), *scene.numbered(name))
+    names, number = scene.numbered(name)
+    if any(mark.name == name for mark in scene.marks) or number in scene.owners[ALL.index("fields")]:
+        raise ValueError(f"scene '{scene.name}': '{shown(name)}' is a mark, or a field; give another name")
+    return _joined(scene, builder.scene(), names, number)
 
 
 def _joined(scene: Scene, one: Scene, names: tuple[str, ...], number: int) -> Scene:
@@ -136,7 +138,10 @@ def _joined(scene: Scene, one: Scene, names: tuple[str, ...], number: int) -> Sc
     number."""
     kinds, owners = {}, []
     for (kind, old, before), (_, new, _) in zip(scene.by_kind(), one.by_kind(), strict=True):
-        kept = np.flatnonzero((before >= 0) & (before != number)) if len(scene.owners[KINDS.index(kind)]) else np.zeros(0, int)
+        if not new.count and not (before == number).any():
+            owners.append(scene.owners[ALL.index(kind)])
+            continue
+        kept = np.flatnonzero((before >= 0) & (before != number))
         join = lambda a, b, kept=kept: np.concatenate([np.asarray(a)[kept], b]) if np.ndim(a) else a
         kinds[kind] = jax.tree_util.tree_map(join, old, new)
         owners.append((*before[kept].tolist(), *[number] * new.count))
