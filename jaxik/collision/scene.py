@@ -19,11 +19,12 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, Shape, check_shape, is_known, is_rigid, rigid_frame
 from jaxik.checks.options import no_such, shown
+from jaxik.collision.cloud import Cloud, check_cloud, cloud_of, clouds_alike
+from jaxik.collision.leaf_rows import FAR
 from jaxik.pytree import Constant, static
 from jaxik.spatial.rotations import frame
 
 LIMIT = 100.0  # [m] that anything may be away or long; a crop or a cell is smaller, one in millimetres is not
-FAR = 1e6  # [m] where padding stands: exact in float32 as a square, and far beyond LIMIT
 SIZES = (0, 8, 32, *(k * 2**n for n in range(5, 14) for k in (2, 3)))
 SHAPES: dict[str, dict[str, Shape]] = {  # of k obstacles; the points' radius is that of all
     "points": {"center": ("k", 3), "radius": ()},
@@ -122,7 +123,7 @@ class Scene(Constant):
     """Obstacles by kind; `owners` gives, kind by kind in the order of `KINDS`, the object that each obstacle belongs to.
 
     `removable[i]` says whether object i may be taken away. Each of the `marks` is an object, too, of the same name; its
-    obstacles, if it has any, are what stands there.
+    obstacles, if it has any, are what stands there. Each of the `clouds` is an object of its name, too.
     """
 
     __slots__ = ("_known",)  # not in the instance's dictionary, which copies and pickles take over
@@ -134,6 +135,7 @@ class Scene(Constant):
     cylinders: Cylinders
     triangles: Triangles
     marks: tuple[Mark, ...] = ()
+    clouds: tuple[Cloud, ...] = ()
     name: str = static(default="scene")
     object_names: tuple[str, ...] = static(default=())
     removable: tuple[bool, ...] = static(default=())
@@ -153,14 +155,18 @@ class Scene(Constant):
     def __str__(self) -> str:
         """One line: the objects and marks that are there, and how many obstacles they have."""
         present = {owner for _, obstacles, owners in self.by_kind() for owner in owners[obstacles.there]}
+        clouds = {cloud.name: cloud.count for cloud in self.clouds}
+        present |= {self.owner(name) for name, count in clouds.items() if count}
         named = [name for i, name in enumerate(self.object_names) if i in present]
         counts = [f"{count} {kind}" for kind, count in self.counts.items() if count]
+        counts += [f"{count:,} points in a cloud" for count in clouds.values() if count]
         marks = [f"{len(self.marks)} marks"] if self.marks else []
         return f"{self.name}: {', '.join([*counts, *marks]) or 'nothing'}" + (f" ({', '.join(named)})" if named else "")
 
     def __repr__(self) -> str:
         owned = zip(KINDS, self.owners, strict=True)
-        kinds = ", ".join(f"{len(owners)} {kind}" for kind, owners in owned if owners) or "no obstacles"
+        room = [f"a cloud of room for {cloud.room:,} points" for cloud in self.clouds]
+        kinds = ", ".join([*(f"{len(owners)} {kind}" for kind, owners in owned if owners), *room]) or "no obstacles"
         names = ", ".join(self.object_names[:8]) + (", ..." if len(self.object_names) > 8 else "")
         return f"Scene {self.name}: {kinds}; {len(self.object_names)} objects ({names}), {len(self.marks)} marks"
 
@@ -176,7 +182,43 @@ class Scene(Constant):
         gone = np.zeros(len(self.object_names) + 1, bool)  # the last for what has no name
         gone[[self._index(each) for each in (objects if several else [objects])]] = True
         away = {kind: _moved_away(obstacles, gone[owners]) for kind, obstacles, owners in self.by_kind()}
-        return dataclasses.replace(self, **away)
+        clouds = tuple(cloud.away() if gone[self.owner(cloud.name)] else cloud for cloud in self.clouds)
+        return dataclasses.replace(self, clouds=clouds, **away)
+
+    def owner(self, name: str) -> int:
+        """The number of the object of a name, -1 where there is none."""
+        return self.object_names.index(name) if name in self.object_names else -1
+
+    def with_cloud(
+        self, points: Any, radius: Any, *, name: str = "cloud", capacity: int | None = None, count: Any = None
+    ) -> Scene:
+        """The scene with a cloud of points (n, 3) [m, world], each the centre of a ball of the `radius` [m], as an object of a
+        `name`; one that is a cloud is replaced. Traced, or on the host.
+
+        Points that are not finite are left out, as a depth image has them where it saw nothing; of an array of fixed length
+        the first `count` alone are taken. A cloud has room for as many points as `capacity` says, or else for its own and for
+        those that it replaces, up to the next power of two: programs that were compiled for as much room serve other clouds.
+        A million have their place. Points may be 100 km away, further than other obstacles, and distances are exact to
+        rounding. Of a traced cloud those beyond that are left out.
+
+        Raises `ValueError`, and leaves this scene as it is, for what is no array (n, 3) of floats, more points than the
+        capacity or 2^20, points that are too far away, a count or capacity that is none, a radius that is below 0 or not
+        finite, and a name that another object has.
+        """
+        if not isinstance(name, str) or name.splitlines() != [name] or not name.strip():
+            raise ValueError(f"with_cloud: the name {shown(repr(name))} is not one line of text; write a word")
+        former = next((cloud for cloud in self.clouds if cloud.name == name), None)
+        if former is None and name in self.object_names:
+            raise ValueError(f"scene '{self.name}': '{shown(name)}' is another object; give the cloud a name of its own")
+        who, room = f"scene '{self.name}': cloud '{shown(name)}'", former.room if former is not None else 0
+        cloud = cloud_of(who, points, radius, name, capacity, count, room)
+        if former is None:
+            names, flags = (*self.object_names, name), (*self.removable, True)
+            return dataclasses.replace(self, clouds=(*self.clouds, cloud), object_names=names, removable=flags)
+        scene = dataclasses.replace(self, clouds=tuple(cloud if each is former else each for each in self.clouds))
+        if (known := getattr(self, "_known", None)) is not None:  # what does not change is not made again
+            object.__setattr__(scene, "_known", {k: x for k, x in known.items() if k == "checked" or k[0] == SOLID})
+        return scene
 
     def _index(self, given: Any) -> int:
         """The number of the object that an index or a name means."""
@@ -200,7 +242,8 @@ class Scene(Constant):
         to = lambda place: a_T_world @ place if place.shape[-1] == 4 else place @ turn.T + shift
         kinds = {kind: getattr(self, kind).put(to) for kind in KINDS}
         marks = tuple(dataclasses.replace(m, position=to(m.position), axis=turn @ m.axis) for m in self.marks)
-        return dataclasses.replace(self, marks=marks, **kinds)
+        clouds = tuple(cloud.moved(a_T_world) for cloud in self.clouds)
+        return dataclasses.replace(self, marks=marks, clouds=clouds, **kinds)
 
     @classmethod
     def stacked(cls, scenes: Sequence[Scene]) -> Scene:
@@ -214,12 +257,15 @@ class Scene(Constant):
         each = [scene.geometry() for scene in scenes]
         sizes = {kind: max(getattr(one, kind).count for one in each) for kind in KINDS}
         alike = [{kind: _filled(getattr(one, kind), size) for kind, size in sizes.items()} for one in each]
-        return jax.tree_util.tree_map(lambda *x: jnp.stack(x), *(cls(**kinds) for kinds in alike))
+        clouds = clouds_alike([one.clouds for one in each])
+        filled = [cls(clouds=own, **kinds) for own, kinds in zip(clouds, alike, strict=True)]
+        return jax.tree_util.tree_map(lambda *x: jnp.stack(x), *filled)
 
     def geometry(self) -> Scene:
         """The obstacles alone, padded and without names: scenes of like sizes then run the same compiled program."""
         padded = self.padded()
-        return Scene(**{kind: getattr(padded, kind) for kind in KINDS})
+        clouds = tuple(dataclasses.replace(cloud, name="") for cloud in self.clouds)
+        return Scene(clouds=clouds, **{kind: getattr(padded, kind) for kind in KINDS})
 
     def padded(self) -> Scene:
         """The scene with each kind padded to the next of a few sizes by obstacles that are out of the way.
@@ -231,12 +277,17 @@ class Scene(Constant):
         return dataclasses.replace(padded, owners=tuple(tuple(owners.tolist()) for *_, owners in padded.by_kind()))
 
 
+SOLID = "solid"  # begins the names of what is remembered of a scene, and does not hang on its clouds
+
+
 def remembered(scene: Scene, what: Hashable, make: Callable[[], Any]) -> Any:
     """Caches `make()` on a scene, which holds concrete numbers, and never changes."""
     known = getattr(scene, "_known", None)
     if known is None:
         for kind in KINDS:
             getattr(scene, kind).freeze()  # `jax.tree_util.tree_map` puts arrays in without a constructor
+        for cloud in scene.clouds:
+            cloud.freeze()
         object.__setattr__(scene, "_known", known := {})
     if what not in known:
         known[what] = make()
@@ -285,6 +336,8 @@ def check_scene(scene: Scene) -> None:
             raise ValueError(f"{who}: {count} for {len(owners)} owners; make the scene anew (make_scene, SceneBuilder)")
         if count and is_known(arrays):
             _check_values(who, arrays)
+    for cloud in scene.clouds:
+        check_cloud(f"scene '{scene.name}': cloud '{cloud.name}'", cloud)
 
 
 def _check_array(what: str, array: Any, shape: Shape) -> None:
