@@ -90,6 +90,10 @@ Carried = tuple[Box | Volume, np.ndarray, float]
 def _carried(scene: Scene, name: str, joint_T_world: np.ndarray, link: int) -> Iterator[Carried]:
     """Yields the object's obstacles in the last joint's frame, each with its triangles (t, 3, 3) and a radius around them."""
     index = scene.object_names.index(name)
+    if any(cloud.name == name for cloud in scene.clouds):
+        raise ValueError(
+            f"attach: '{shown(name)}' is a cloud of points, which no arm carries; put spheres or boxes in its place"
+        )
     placed = lambda points, a_T_b=joint_T_world: points @ a_T_b[:3, :3].T + a_T_b[:3, 3]
     for kind, obstacles, owners in scene.by_kind():
         fields = {at: np.asarray(getattr(obstacles, at), np.float64) for at in SHAPES[kind]}

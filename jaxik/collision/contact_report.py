@@ -183,6 +183,12 @@ def _with_scene(robot: Robot, scene: Scene | None, volumes: dict[int, Skeleton],
             yield from (_Pairs(gap, skeleton, others, owners, meet) for skeleton in volumes.values())
             if kind == "triangles":
                 yield _Depths(_DEPTH, _sampled(volumes), others, owners, meet)
+    for cloud in scene.clouds:
+        rows = {"center": cloud.points, "radius": np.asarray(cloud.radius)}
+        gap, others = obstacles_of("points", rows, np.float64, np)
+        owners = np.full(len(rows["center"]), scene.owner(cloud.name))
+        if len(owners):
+            yield from (_Pairs(gap, skeleton, others, owners, meet) for skeleton in volumes.values())
 
 
 def _sampled(volumes: dict[int, Skeleton]) -> Skeleton:

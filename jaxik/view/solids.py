@@ -70,9 +70,12 @@ def scene_solids(scene: Scene) -> list[Solid]:
 
 
 def scene_points(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """The scene's points (k, 3) [m] and the names (k,) of the objects that they belong to."""
+    """The scene's points (k, 3) [m], of its clouds at most `SHOWN` each, and the names (k,) of the objects that they belong to."""
     _, points, owners = next(scene.by_kind())
-    centres = np.asarray(points.center, float)
+    clouds = [cloud.points[:: max(1, -(-cloud.count // SHOWN))] for cloud in scene.clouds]
+    named = [np.full(len(shown), scene.owner(cloud.name)) for shown, cloud in zip(clouds, scene.clouds, strict=True)]
+    owners = np.concatenate([owners, *named])
+    centres = np.concatenate([np.asarray(x, float) for x in (points.center, *clouds)])
     here = np.abs(centres).max(axis=1, initial=0.0) <= LIMIT
     return centres[here], _names(scene, owners[here])
 
