@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +20,8 @@ POINTS = "points"  # the array of an NPZ, if it has several
 def load_cloud(path: str | Path) -> np.ndarray:
     """The points (n, 3) of a file [m], `.ply`, `.xyz`, `.pcd`, `.npy` or `.npz`, for `Scene.with_cloud`. Host.
 
-    Points that are not finite stay: `with_cloud` leaves them out. They are float32 where that holds them all, else float64.
-    What else a file has of each point, as colours, is not read. Of an NPZ with several arrays it is `points`; PCD needs
-    pypcd4, `pip install "jaxik[pcd]"`.
+    Points that are not finite stay: `with_cloud` leaves them out. What else a file has of each point, as colours, is not read.
+    Of an NPZ with several arrays it is `points`; PCD needs pypcd4, `pip install "jaxik[pcd]"`.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, what is wrong, what is allowed, the mend.
     """
@@ -37,17 +37,19 @@ def load_cloud(path: str | Path) -> np.ndarray:
     except Exception as error:  # whatever a parser for every variant raises is the file's fault
         mend = "write points as rows of x, y, z"
         raise LoadError(path, "document", f"cannot be read as {kind[1:].upper()} ({type(error).__name__})", mend) from None
-    if points.dtype.kind not in "iuf" or points.ndim != 2 or points.shape[1] != 3:
-        raise LoadError(path, "document", f"{points.dtype} of shape {points.shape}", "write points (n, 3) [m]")
-    narrow, wide = points.astype(np.float32), points.astype(np.float64)
-    return narrow if np.array_equal(narrow, wide, equal_nan=True) else wide
+    if points.dtype.kind != "f" or points.ndim != 2 or points.shape[1] != 3:
+        raise LoadError(path, "document", f"{points.dtype} of shape {points.shape}", "write floats (n, 3), in metres")
+    return points
 
 
 def _by_trimesh(kind: str) -> Callable[[bytes], np.ndarray]:
     def read(content: bytes) -> np.ndarray:
         import trimesh
 
-        return np.asarray(trimesh.load(io.BytesIO(content), file_type=kind, process=False).vertices)
+        found: Any = trimesh.load(io.BytesIO(content), file_type=kind, process=False)
+        points = np.asarray(found.vertices)  # in float64, whatever the file had
+        narrow = points.astype(np.float32)
+        return narrow if np.array_equal(narrow, points, equal_nan=True) else points
 
     return read
 

@@ -12,6 +12,7 @@ from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.spatial.algebra import Frame
 
+SHOWN = 200_000  # points of a cloud that a browser still turns smoothly
 _TURN = 2.0 * np.pi * np.arange(24) / 24
 _RING = np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
 _BOX = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(8, 3)
@@ -70,7 +71,7 @@ def scene_solids(scene: Scene) -> list[Solid]:
 
 
 def scene_points(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """The scene's points (k, 3) [m], of its clouds at most `SHOWN` each, and the names (k,) of the objects that they belong to."""
+    """The scene's points (k, 3) [m], of each cloud at most `SHOWN`, and the names (k,) of the objects that they belong to."""
     _, points, owners = next(scene.by_kind())
     clouds = [cloud.points[:: max(1, -(-cloud.count // SHOWN))] for cloud in scene.clouds]
     named = [np.full(len(shown), scene.owner(cloud.name)) for shown, cloud in zip(clouds, scene.clouds, strict=True)]
