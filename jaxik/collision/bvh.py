@@ -225,7 +225,7 @@ def _clouds(
     return tuple(found)
 
 
-def _cloud(kind: str, cloud: Cloud, branch: int, mask: np.ndarray, ignored: tuple[tuple[int, str], ...]) -> Obstacles:
+def _cloud(kind: str, cloud: Cloud, branch: int, mask: Any, ignored: tuple[tuple[int, str], ...]) -> Obstacles:
     rows = {"center": cloud.center, "radius": cloud.radius}
     first, last, bit = (np.array([x], np.int32) for x in (branch, branch + 1, mask))
     unsound = np.zeros((), np.float32)  # what is not finite was left out

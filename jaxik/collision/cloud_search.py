@@ -53,8 +53,8 @@ class CloudSearch:
         beyond, enough = radius + self.radius + SLACK, self.space.enough
 
         def meets(number: Any, found: Found) -> Any:
-            least, turned = (Vec3(*corner) for corner in traced(entry(self.boxes, number).reshape(2, 3)))
-            gaps = zip(least - high, turned + low, strict=True)  # after the volume and before it, along each axis
+            x, y, z, *turned = traced(entry(self.boxes, number))
+            gaps = zip(Vec3(x, y, z) - high, Vec3(*turned) + low, strict=True)  # along each axis, on either side
             gap = Vec3(*(_more(_more(after, before), 0.0) for after, before in gaps))
             reach = jnp.where(found.distance < FAR / 2.0, found.distance, FAR / 2.0) + beyond
             near = (reach > 0.0) & (gap.dot(gap) < reach * reach * ROUNDING)
