@@ -19,10 +19,12 @@ from jax import lax
 
 from jaxik.checks.arrays import is_known
 from jaxik.collision.ball_trees import FAN, balls_around, balls_of, by_place, joined
+from jaxik.collision.cloud import LEAF as CLOUD_LEAF
+from jaxik.collision.cloud import Cloud, nothing
 from jaxik.collision.leaf_rows import SLACK, Balls
 from jaxik.collision.own_shape import CLOSE, Own, once, own_shapes, shape_of, told_below
 from jaxik.collision.refit import Groups
-from jaxik.collision.scene import FAR, NODES, SHAPES, SIZES_OF, Scene, check_scene, remembered, with_zeros
+from jaxik.collision.scene import FAR, NODES, SHAPES, SIZES_OF, SOLID, Scene, check_scene, remembered, with_zeros
 from jaxik.collision.volumes import local_volumes
 from jaxik.kinematics.link_distance_table import PairTable
 from jaxik.kinematics.robot import Robot, geometry_between, solid_links
@@ -30,6 +32,7 @@ from jaxik.pytree import static
 
 # obstacles a leaf, where there are a few
 LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1, "triangles": 1, "fields": 1}
+CLOUD = "cloud"  # begins the kind of each cloud
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
 
 
@@ -50,12 +53,15 @@ class Obstacles:
     """Obstacles of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`,
     not counted, and is one of the `count` that are there if b is less; `ignored[b]` are the `bits` of links that it does not
     count for, of a robot that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is. `bodies`: None where there
-    are no solids of triangles."""
+    are no solids of triangles.
+
+    A cloud is a kind of its own, `CLOUD` and a number. It is branch `first[0]`, and has no balls around leaves and branches,
+    which are None, but a tree of `boxes`."""
 
     kind: str = static()
     rows: dict[str, Any]
-    leaves: Balls
-    branches: Balls
+    leaves: Any
+    branches: Any
     first: Any
     last: Any
     ignored: Any
@@ -63,10 +69,13 @@ class Obstacles:
     unsound: Any
     bodies: Bodies | None
     ignores: tuple[tuple[int, str], ...] = static()
+    boxes: Any = None
 
     @property
     def form(self) -> Form:
         """The form of these."""
+        if self.leaves is None:
+            return Form(CLOUD_LEAF, len(self.boxes) // 2, False)
         room = len(self.leaves.radius)
         return Form(len(next(iter(self.rows.values()))) // room if room else 1, room, self.bodies is not None)
 
@@ -101,7 +110,7 @@ def grouped(scene: Scene | Grouped | None, robot: Robot, by_object: bool = False
         return scene if known else obstacles_in(scene) + own_shapes(robot)
     if not scene.concrete:
         check_scene(scene)
-        return _grouped(scene, robot.ignored, by_object).found + own_shapes(robot)
+        return _grouped(scene, robot.ignored, by_object) + own_shapes(robot)
     remembered(scene, "checked", lambda: check_scene(scene))
     return _kept(scene, robot.ignored, by_object) + own_shapes(robot)
 
@@ -115,7 +124,7 @@ def grouped_alike(scenes: Sequence[Scene], robot: Robot) -> list[tuple[Obstacles
         form, other = obstacles.form, forms.get(obstacles.kind, obstacles.form)
         most = max(form.size, other.size), max(form.room, other.room)
         forms[obstacles.kind] = Form(*most, form.solid or other.solid)
-    alike = tuple((kind, forms[kind]) for kind in SHAPES if kind in forms)
+    alike = tuple((kind, forms[kind]) for kind in (*SHAPES, *_clouds_among(forms)) if kind in forms)
     fits = lambda found: tuple((o.kind, o.form) for o in found) == alike
     anew = lambda scene: _kept(scene, robot.ignored, False, alike)
     return [found if fits(found) else anew(scene) for scene, found in zip(scenes, each, strict=True)]
@@ -129,7 +138,8 @@ def grouped_in(scene: Scene, robot: Robot, forms: dict[str, Form] | None = None)
     least = forms or some | {kind: _roomy(kind, count) for kind, count in scene.room}
     found = _kept(scene, robot.ignored, False, tuple(least.items()))
     if forms is not None and (got := forms_of(found)) != forms:
-        counts = {kind: count for kind, count in scene.counts.items() if got.get(kind) != forms.get(kind)}
+        points = {kind: cloud.count for kind, cloud in zip(_clouds_among(got), scene.clouds, strict=False)}
+        counts = {kind: count for kind, count in (scene.counts | points).items() if got.get(kind) != forms.get(kind)}
         room = {kind: form.size * form.room for kind, form in forms.items()}
         told = " and ".join(f"{count} {kind} with room for {room.get(kind, 0)}" for kind, count in counts.items())
         raise ValueError(f"scene '{scene.name}': {told} in what was made before; make it anew for this scene")
@@ -180,26 +190,62 @@ def _kept(
 ) -> tuple[Obstacles, ...]:
     """`_grouped` of a known scene, which keeps it."""
     least = least or tuple((kind, _roomy(kind, count)) for kind, count in scene.room)
-    key = ("grouped", ignored, by_object, least)
-    groups: Groups = remembered(scene, key, lambda: _grouped(scene, ignored, by_object, dict(least)))
-    return groups.found
+    asked = ignored, by_object, dict(least)
+    solids: Groups = remembered(scene, (SOLID, ignored, by_object, least), lambda: _solids(scene, *asked))
+    if not scene.clouds and not _clouds_among(asked[-1]):
+        return solids.found
+    clouds: tuple[Obstacles, ...] = remembered(scene, ("clouds", ignored, by_object, least), lambda: _clouds(scene, *asked))
+    return solids.found + clouds
 
 
-def _grouped(
-    scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool, least: dict[str, Form] | None = None
-) -> Groups:
-    """`grouped`, without the robot's own shapes; each kind with `least` its form, if it is told, even where none are there."""
+def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool) -> tuple[Obstacles, ...]:
+    """`grouped` of a traced scene, without the robot's own shapes."""
+    return _solids(scene, ignored, by_object, {}).found + _clouds(scene, ignored, by_object, {})
+
+
+def _masks(scene: Scene, ignored: tuple[tuple[int, str], ...]) -> np.ndarray:
+    """The bits of the links that ignore each object, and at last of those that ignore what belongs to none."""
     bit = bits(ignored)
-    masks = [sum({bit[link] for link, what in ignored if what in ("*", name)}) for name in (*scene.object_names, "")]
+    named = (*scene.object_names, "")
+    return np.array([sum({bit[link] for link, what in ignored if what in ("*", name)}) for name in named], np.int32)
+
+
+def _solids(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool, least: dict[str, Form]) -> Groups:
+    """All but the clouds; each kind with `least` its form, if it is told, even where none are there."""
     found = []
     for kind, obstacles, owner in scene.by_kind():
         rows = {name: getattr(obstacles, name) for name in SHAPES[kind]}
         if is_known(rows):
             rows = jax.tree_util.tree_map(np.asarray, rows)
-        if len(owner) or kind in (least or {}):
-            form = (least or {}).get(kind, Form(1, 0, False))
-            found.append(_obstacles(kind, rows, owner, np.array(masks, np.int32), by_object, ignored, form))
+        if len(owner) or kind in least:
+            form = least.get(kind, Form(1, 0, False))
+            found.append(_obstacles(kind, rows, owner, _masks(scene, ignored), by_object, ignored, form))
     return Groups(*zip(*found, strict=True)) if found else Groups((), ())
+
+
+def _clouds(
+    scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool, least: dict[str, Form]
+) -> tuple[Obstacles, ...]:
+    """The clouds, in their order, each ready for the search as it is."""
+    masks, found = _masks(scene, ignored), []
+    wanted = [least.get(kind, Form(1, 0, False)).room * CLOUD_LEAF for kind in _clouds_among(least)]
+    for number, (cloud, room) in enumerate(itertools.zip_longest(scene.clouds, wanted)):
+        cloud = nothing(room) if cloud is None else cloud.roomy(max(cloud.room, room or 0))
+        owner = scene.owner(cloud.name)
+        found.append(_cloud(f"{CLOUD} {number + 1}", cloud, owner if by_object else 0, masks[owner], ignored))
+    return tuple(found)
+
+
+def _cloud(kind: str, cloud: Cloud, branch: int, mask: Any, ignored: tuple[tuple[int, str], ...]) -> Obstacles:
+    rows = {"center": cloud.center, "radius": cloud.radius}
+    first, last, bit = (np.array([x], np.int32) for x in (branch, branch + 1, mask))
+    unsound = np.zeros((), np.float32)  # what is not finite was left out
+    return Obstacles(kind, rows, None, None, first, last, bit, np.int32(1), unsound, None, ignored, cloud.boxes)
+
+
+def _clouds_among(forms: dict[str, Form]) -> list[str]:
+    """The kinds that are clouds, in their order."""
+    return sorted((kind for kind in forms if kind.startswith(CLOUD)), key=lambda kind: int(kind.split()[1]))
 
 
 def _obstacles(

@@ -183,6 +183,12 @@ def _with_scene(robot: Robot, scene: Scene | None, volumes: dict[int, Skeleton],
             yield from (_Pairs(gap, skeleton, others, owners, meet) for skeleton in volumes.values())
             if kind == "triangles":
                 yield _Depths(_DEPTH, _sampled(volumes), others, owners, meet)
+    for cloud in scene.clouds:
+        rows = {"center": cloud.points, "radius": np.asarray(cloud.radius)}
+        gap, others = obstacles_of("points", rows, np.float64, np)
+        owners = np.full(len(rows["center"]), scene.owner(cloud.name))
+        if len(owners):
+            yield from (_Pairs(gap, skeleton, others, owners, meet) for skeleton in volumes.values())
 
 
 def _sampled(volumes: dict[int, Skeleton]) -> Skeleton:
@@ -314,6 +320,8 @@ class _Standing(dict[tuple[Robot, float], tuple[Contact, ...]]):
 
 def _beside(robot: Robot, margin: float, scene: Scene, changes: Sequence[Change]) -> bool:
     """Whether objects that have moved may be nearer than `margin` [m] to shapes that no joint moves."""
+    if {change.object for change in changes} & {scene.owner(cloud.name) for cloud in scene.clouds}:
+        return True
     middle, reach = _ball_of_fixed(robot)
     balls = [ball for change in changes if change.pose is not None for ball in balls_of_object(scene, change.object)]
     return any((np.linalg.norm(center - middle, axis=1) - radius < reach + margin).any() for center, radius in balls)

@@ -38,10 +38,13 @@ class Groups:
                     found.setdefault(int(owners[some[0]]), []).append((kind, some))
         return found
 
-    def changed(self, _: Scene, changes: Sequence[Change]) -> Groups | None:
-        """The same after changes of objects; None where an object is in no tree, because it was out of the way."""
-        found = list(self.found)
+    def changed(self, scene: Scene, changes: Sequence[Change]) -> Groups | None:
+        """The same after changes of objects; None where an object is in no tree, because it was out of the way. Clouds, which
+        have trees of their own, are none of these."""
+        found, clouds = list(self.found), {scene.owner(cloud.name) for cloud in scene.clouds}
         for number, pose in changes:
+            if number in clouds:
+                continue
             if number not in self.rows:
                 return None
             for kind, rows in self.rows[number]:

@@ -20,11 +20,12 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, Shape, check_known, check_shape, is_known, is_rigid, rigid_frame
 from jaxik.checks.options import as_count, no_such, shown
+from jaxik.collision.cloud import Cloud, check_cloud, cloud_of, clouds_alike
+from jaxik.collision.leaf_rows import FAR
 from jaxik.pytree import Constant, read_only, replaced, static
 from jaxik.spatial.rotations import frame
 
 LIMIT = 100.0  # [m] that anything may be away or long; a crop or a cell is smaller, one in millimetres is not
-FAR = 1e6  # [m] where padding stands: exact in float32 as a square, and far beyond LIMIT
 SIZES = (0, 8, 32, *(k * 2**n for n in range(5, 14) for k in (2, 3)))
 SHAPES: dict[str, dict[str, Shape]] = {  # of k obstacles; the points' radius is that of all
     "points": {"center": ("k", 3), "radius": ()},
@@ -184,7 +185,7 @@ class Scene(Constant):
 
     `removable[i]` says whether object i may be taken away. `room` says, by kind, for how many obstacles
     programs are compiled. Each of the `marks` is an object, too, of the same name; its obstacles, if it has any, are what
-    stands there.
+    stands there. Each of the `clouds` is an object of its name, too.
     """
 
     __slots__ = ("_known",)  # not in the instance's dictionary, which copies and pickles take over
@@ -197,6 +198,7 @@ class Scene(Constant):
     triangles: Triangles
     fields: Fields = dataclasses.field(default_factory=Fields.none)
     marks: tuple[Mark, ...] = ()
+    clouds: tuple[Cloud, ...] = ()
     name: str = static(default="scene")
     object_names: tuple[str, ...] = static(default=())
     removable: tuple[bool, ...] = static(default=())
@@ -219,14 +221,18 @@ class Scene(Constant):
     def __str__(self) -> str:
         """One line: the objects and marks that are there, and how many obstacles they have."""
         present = {owner for _, obstacles, owners in self.by_kind() for owner in owners[obstacles.there]}
+        clouds = {cloud.name: cloud.count for cloud in self.clouds}
+        present |= {self.owner(name) for name, count in clouds.items() if count}
         named = [name for i, name in enumerate(self.object_names) if i in present]
         counts = [f"{count} {kind}" for kind, count in self.counts.items() if count]
+        counts += [f"{count:,} points in a cloud" for count in clouds.values() if count]
         marks = [f"{len(self.marks)} marks"] if self.marks else []
         return f"{self.name}: {', '.join([*counts, *marks]) or 'nothing'}" + (f" ({', '.join(named)})" if named else "")
 
     def __repr__(self) -> str:
         owned = zip(KINDS, self.owners, strict=True)
-        kinds = ", ".join(f"{len(owners)} {kind}" for kind, owners in owned if owners) or "no obstacles"
+        room = [f"a cloud of room for {cloud.room:,} points" for cloud in self.clouds]
+        kinds = ", ".join([*(f"{len(owners)} {kind}" for kind, owners in owned if owners), *room]) or "no obstacles"
         names = ", ".join(self.object_names[:8]) + (", ..." if len(self.object_names) > 8 else "")
         return f"Scene {self.name}: {kinds}; {len(self.object_names)} objects ({names}), {len(self.marks)} marks"
 
@@ -277,6 +283,41 @@ class Scene(Constant):
         owners = (*self.owners[:-1], (*(self.owners[-1][i] for i in kept), number))
         return dataclasses.replace(self, fields=rest.and_(new()), owners=owners)
 
+    def owner(self, name: str) -> int:
+        """The number of the object of a name, -1 where there is none."""
+        return self.object_names.index(name) if name in self.object_names else -1
+
+    def with_cloud(
+        self, points: Any, radius: Any, *, name: str = "cloud", capacity: int | None = None, count: Any = None
+    ) -> Scene:
+        """The scene with a cloud of points (n, 3) [m, world], each the centre of a ball of the `radius` [m], as an object of a
+        `name`; one that is a cloud is replaced. Traced, or on the host.
+
+        Points that are not finite are left out, as a depth image has them where it saw nothing; of an array of fixed length
+        the first `count` alone are taken. A cloud has room for as many points as `capacity` says, or else for its own and for
+        those that it replaces, up to the next power of two: programs that were compiled for as much room serve other clouds.
+        A million have their place. Points may be 100 km away, further than other obstacles, and distances are exact to
+        rounding. Of a traced cloud those beyond that are left out.
+
+        Raises `ValueError`, and leaves this scene as it is, for what is no array (n, 3) of floats, more points than the
+        capacity or 2^20, points that are too far away, a count or capacity that is none, a radius that is below 0 or not
+        finite, and a name that another object has.
+        """
+        if not isinstance(name, str) or name.splitlines() != [name] or not name.strip():
+            raise ValueError(f"with_cloud: the name {shown(repr(name))} is not one line of text; write a word")
+        former = next((cloud for cloud in self.clouds if cloud.name == name), None)
+        if former is None and name in self.object_names:
+            raise ValueError(f"scene '{self.name}': '{shown(name)}' is another object; give the cloud a name of its own")
+        who, room = f"scene '{self.name}': cloud '{shown(name)}'", former.room if former is not None else 0
+        cloud = cloud_of(who, points, radius, name, capacity, count, room)
+        if former is None:
+            names, flags = (*self.object_names, name), (*self.removable, True)
+            return dataclasses.replace(self, clouds=(*self.clouds, cloud), object_names=names, removable=flags)
+        scene = dataclasses.replace(self, clouds=tuple(cloud if each is former else each for each in self.clouds))
+        if (known := getattr(self, "_known", None)) is not None:  # what does not change is not made again
+            object.__setattr__(scene, "_known", {k: x for k, x in known.items() if k == "checked" or k[0] == SOLID})
+        return scene
+
     def _index(self, given: Any) -> int:
         """The number of the object that an index or a name means."""
         if isinstance(given, str):
@@ -313,7 +354,8 @@ class Scene(Constant):
             return self._changed([Change(*each) for each in zip(objects, poses, strict=True)])
         pose = rigid_frame("moved: a_T_world", first)
         kinds = {kind: getattr(self, kind).put(lambda place: places_after(place, pose)) for kind in KINDS}
-        return dataclasses.replace(self, marks=tuple(mark.moved(pose) for mark in self.marks), **kinds)
+        marks, clouds = tuple(mark.moved(pose) for mark in self.marks), tuple(cloud.moved(pose) for cloud in self.clouds)
+        return dataclasses.replace(self, marks=marks, clouds=clouds, **kinds)
 
     def with_(self, name: str, *, removable: Any = True, solid: Any = True, **obstacles: Any) -> Scene:
         """The scene with one more object, or another one in the place of that with this name; the keywords are those of
@@ -351,9 +393,10 @@ class Scene(Constant):
             for kind, some in self.rows_of(number):
                 rows.setdefault(kind, []).append((some, pose))
         kinds = {kind: getattr(self, kind).moved(*zip(*each, strict=True)) for kind, each in rows.items()}
-        moved = {self.object_names[number]: pose for number, pose in changes if pose is not None}
-        marks = tuple(mark.moved(moved[mark.name]) if mark.name in moved else mark for mark in self.marks)
-        found: Scene = replaced(self, marks=marks, **kinds)
+        where = {self.object_names[number]: pose for number, pose in changes}
+        marks = tuple(mark if where.get(mark.name) is None else mark.moved(where[mark.name]) for mark in self.marks)
+        clouds = tuple(cloud.after(where[cloud.name]) if cloud.name in where else cloud for cloud in self.clouds)
+        found: Scene = replaced(self, marks=marks, clouds=clouds, **kinds)
         vars(found).update(_rows=self._rows, concrete=self.concrete and is_known([change.pose for change in changes]))
         _inherit(self, found, tuple(changes))
         return found
@@ -386,12 +429,15 @@ class Scene(Constant):
         if len(grids) > 1:
             raise ValueError(f"stacked: scenes with fields of {' and '.join(map(str, sorted(grids)))} nodes; give each as many")
         alike = [{kind: _filled(getattr(one, kind), size) for kind, size in sizes.items()} for one in each]
-        return jax.tree_util.tree_map(lambda *x: jnp.stack(x), *(cls(**kinds) for kinds in alike))
+        clouds = clouds_alike([one.clouds for one in each])
+        filled = [cls(clouds=own, **kinds) for own, kinds in zip(clouds, alike, strict=True)]
+        return jax.tree_util.tree_map(lambda *x: jnp.stack(x), *filled)
 
     def geometry(self) -> Scene:
         """The obstacles alone, padded and without names: scenes of like sizes then run the same compiled program."""
         padded = self.padded()
-        return Scene(**{kind: getattr(padded, kind) for kind in KINDS})
+        clouds = tuple(dataclasses.replace(cloud, name="") for cloud in self.clouds)
+        return Scene(clouds=clouds, **{kind: getattr(padded, kind) for kind in KINDS})
 
     def padded(self) -> Scene:
         """The scene with each kind padded to the next of a few sizes by obstacles that are out of the way.
@@ -401,6 +447,9 @@ class Scene(Constant):
         check_scene(self)
         padded = dataclasses.replace(self, **{kind: _padded(getattr(self, kind)) for kind in KINDS})
         return dataclasses.replace(padded, owners=tuple(tuple(owners.tolist()) for *_, owners in padded.by_kind()))
+
+
+SOLID = "solid"  # begins the names of what is remembered of a scene, and does not hang on its clouds
 
 
 class Before(NamedTuple):
@@ -426,6 +475,8 @@ def _memory(scene: Scene) -> dict[Hashable, Any]:
     if known is None:
         for kind in KINDS:
             getattr(scene, kind).freeze()  # `jax.tree_util.tree_map` puts arrays in without a constructor
+        for cloud in scene.clouds:
+            cloud.freeze()
         object.__setattr__(scene, "_known", known := {})
     return known
 
@@ -491,6 +542,8 @@ def check_scene(scene: Scene) -> None:
             raise ValueError(f"{who}: {count} for {len(owners)} owners; make the scene anew (make_scene, SceneBuilder)")
         if count and is_known(arrays):
             _check_values(who, arrays)
+    for cloud in scene.clouds:
+        check_cloud(f"scene '{scene.name}': cloud '{cloud.name}'", cloud)
 
 
 def _check_array(what: str, array: Any, shape: Shape) -> None:

@@ -128,8 +128,9 @@ def with_object(scene: Scene, name: str, removable: Any, solid: Any, obstacles: 
     builder = SceneBuilder(scene.name)
     builder.add(name, removable=removable, solid=solid, **obstacles)
     names, number = scene.numbered(name)
-    if any(mark.name == name for mark in scene.marks) or number in scene.owners[ALL.index("fields")]:
-        raise ValueError(f"scene '{scene.name}': '{shown(name)}' is a mark, or a field; give another name")
+    taken = {*(mark.name for mark in scene.marks), *(cloud.name for cloud in scene.clouds)}
+    if name in taken or number in scene.owners[ALL.index("fields")]:
+        raise ValueError(f"scene '{scene.name}': '{shown(name)}' is a mark, a cloud or a field; give another name")
     return _joined(scene, builder.scene(), names, number)
 
 
