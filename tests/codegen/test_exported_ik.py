@@ -72,7 +72,7 @@ def test_ik_is_the_kernels_and_small(panda, goals, tmp_path):
     _, reason, *_, seed = called(made, np.full((4, 4), np.nan))
     assert reason == Reason.INVALID and seed == -1
     away = np.eye(4) + 3.0 * np.eye(4, k=3)
-    assert called(made, away)[1] == Reason.NOT_CONVERGED
+    assert called(made, away)[1] == Reason.OUT_OF_REACH
     if shutil.which("nm"):
         (tmp_path / "ik.o").write_bytes(made.image)
         told = subprocess.run(["nm", str(tmp_path / "ik.o")], capture_output=True, text=True, check=True).stdout
@@ -95,6 +95,8 @@ def test_ik_in_a_scene(panda, goals):
     with jax.enable_x64(True):
         clear = jax.jit(jax.vmap(lambda q: jaxik.clearance(panda, scene, q)))(found["q"])
     assert solved.mean() > 0.5 and (np.asarray(clear)[solved] >= -1e-12).all()
+    blocked = found["reason"] == Reason.COLLISION
+    assert blocked.any() and (np.asarray(clear)[blocked] < 0.0).all() and (found["position_error"][blocked] < 1e-6).all()
 
 
 def test_a_robot_of_several_tips_is_refused():
