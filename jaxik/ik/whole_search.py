@@ -56,8 +56,9 @@ def ik_search(
 
     It takes those options of `solve_ik` that ask for any one answer. The answer is the same, to the last bit, where the
     closed form leads to it, or, without one, the first sixteen seeds; where later seeds do it may be another. No posture is
-    moved out of obstacles, and of the proofs there is that by the reach bound alone. Raises `ValueError` as `solve_ik` does,
-    and for options that it does not take.
+    moved out of obstacles, and of the proofs there is that by the reach bound alone. It has no derivative: `implicit_ik` gives
+    that of its answer. Raises `ValueError` as `solve_ik` does, for options that it does not take, and where it is
+    differentiated.
     """
     check_kind("ik_search", "robot", robot, Robot)
     if changes.get("seeds") == "near":  # the posture is given later
@@ -75,6 +76,7 @@ def ik_search(
     # tables of postures are 120 kB, and lead no more targets to answers that no branch leads to than uniform seeds do
     (target, shared), setup = seed_rows(problem, problem.options.max_seeds, ends=True, library=0 if branches else seeds.SETS)
 
+    @jax.custom_jvp
     def find(pose: Any, posture: Any = None) -> SearchedIK:
         pose = as_numbers("pose", pose, (4, 4))
         home = target.home[0] if posture is None else as_configuration(named, posture)
@@ -92,7 +94,13 @@ def ik_search(
         number = jnp.where(solved, answer.number, -1)
         return SearchedIK(answer.q, reason.astype(jnp.int32), answer.away, answer.turned, answer.clearance, number)
 
+    find.defjvp(_has_no_derivative)
     return find
+
+
+def _has_no_derivative(*_: Any) -> Any:
+    mend = "differentiate jaxik.ik.implicit_ik(robot, pose, q) of its answer, and write find(lax.stop_gradient(pose))"
+    raise ValueError(f"ik_search: a search has no derivative; {mend}")
 
 
 def _branches(problem: Problem) -> Callable[[Any, Any], Answer]:

@@ -244,6 +244,22 @@ def test_the_search_tells_what_collides(panda, among):
     assert (found.clearance[blocked] < 0.0).all() and (found.position_error[blocked] < 1e-6).all()
 
 
+def test_the_search_has_no_derivative_but_its_answer_has(panda):
+    _, targets = poses(panda, 1)
+    with jax.enable_x64(True):
+        find, target = ik_search(panda, collision=False), jnp.asarray(targets[0])
+        for searched in (find, jaxik.kernel(find)):
+            with pytest.raises(ValueError, match=r"ik_search: a search has no derivative; .*implicit_ik\(robot, pose, q\)"):
+                jax.grad(lambda x, searched=searched: jnp.sum(searched(target.at[0, 3].add(x)).q))(0.0)
+
+        def reached(x):
+            pose = target.at[0, 3].add(x)
+            q = jaxik.kernel(find)(jax.lax.stop_gradient(pose)).q
+            return jaxik.forward_kinematics(panda, jaxik.implicit_ik(panda, pose, q, collision=False).q)[0, 3]
+
+        assert np.isclose(jax.grad(reached)(0.0), 1.0)
+
+
 def test_the_search_says_what_it_does_not_take(panda):
     with pytest.raises(ValueError, match="more than the first answer"):
         ik_search(panda, collision=False, solutions=4)
