@@ -34,6 +34,9 @@ class Target(NamedTuple):
     without: tuple[str, ...] = ()
 
 
+SLP = 20_000  # lines of a module that are searched for scalars to pack: that of 15,000 takes 4 s, and grows faster than they do
+
+
 @functools.cache
 def here() -> Target:
     """This machine."""
@@ -111,7 +114,7 @@ def compiled(text: str, quick: bool = False, target: Target | None = None, thoro
     if thorough:
         tuning = llvm().create_pipeline_tuning_options(speed_level=2)
         tuning.loop_vectorization = tuning.loop_unrolling = False
-        tuning.slp_vectorization = True
+        tuning.slp_vectorization = text.count("\n") <= SLP
         builder = llvm().create_pass_builder(machine, tuning)
         builder.getModulePassManager().run(module, builder)
     return bytes(machine.emit_object(module))

@@ -230,7 +230,7 @@ def test_the_search_near_a_posture_and_in_a_scene(panda, world):
 
 @pytest.mark.parametrize("among", ["itself", "obstacles"])
 def test_the_search_tells_what_collides(panda, among):
-    """Its reasons are those of `solve_ik`, and the clearance is that of its posture, which has the pose."""
+    """Reasons are those of `solve_ik`, and the clearance is that of the posture, which has the pose."""
     scene = None if among == "itself" else jaxik.make_scene(spheres=[[*ball[:3], 2.0 * ball[3]] for ball in BALLS])
     _, targets = poses(panda, 60, seed=8)
     with jax.enable_x64(True):
