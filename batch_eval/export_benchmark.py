@@ -2,9 +2,9 @@
 
 `python batch_eval/export_benchmark.py` needs `pip install -e ".[test,peers]"`, gcc, and for Pinocchio g++ with Eigen's headers.
 One process, one thread; contenders take turns, 64 of 1,024 configurations each, and each contender's median is told. Behind
-the others a contender's code is in no cache: the first call of a turn, which is told apart, takes a multiple of the others, and
-fifteen more follow before time is taken. Everyone has the same numbers of the same robot, and is held against Pinocchio in
-Python. Prints and writes `batch_eval/export_benchmark.json`; `--only jaxik` leaves the peers out, which takes seconds.
+the other contenders the first call of a turn takes twice as long as the rest: it is told apart, with a reading of the clock in
+it, and fifteen more follow before time is taken. Everyone has the same numbers of the same robot, and is held against Pinocchio
+in Python. Prints and writes `batch_eval/export_benchmark.json`; `--only jaxik` leaves the peers out, which takes a minute.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ WORDS = {
 def export_markdown(result: dict[str, Any]) -> str:
     """A row for each function and width: what a call takes, in a thread that flushes denormals, too, and the peers' ratios."""
     lines = [
-        "| work | in | jaxik | in a thread that flushes denormals | first call, its code in no cache | object "
+        "| work | in | jaxik | in a thread that flushes denormals | first call of a turn | object "
         "| how much faster than | largest deviation |",
         "| --- " * 8 + "|",
     ]
