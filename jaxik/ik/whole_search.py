@@ -73,7 +73,7 @@ def ik_search(
         mend = "leave out cost, solutions, choice, nearest and regions, and give max_seeds a multiple of 16, 128 or more"
         raise ValueError(f"ik_search: options that ask for more than the first answer; {mend}")
     branches = _branches(problem) if has_branches(problem) else None
-    # tables of postures are 120 kB, and lead no more targets to answers that no branch leads to than uniform seeds do
+    # tables of postures are 120 kB: behind branches they answered two more of 60,000 poses at edges of ranges
     (target, shared), setup = seed_rows(problem, problem.options.max_seeds, ends=True, library=0 if branches else seeds.SETS)
 
     @jax.custom_jvp
