@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from tables.changes import changes_markdown
 from tables.collision import (
     collision_markdown,
     mesh_markdown,
@@ -15,7 +16,6 @@ from tables.collision import (
     scaling_markdown,
     scenes_markdown,
 )
-from tables.changes import changes_markdown
 from tables.constrained import constrained_markdown
 from tables.exports import export_markdown
 from tables.five_joints import five_joints_markdown
