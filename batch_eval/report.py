@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from tables.clouds import clouds_markdown
 from tables.collision import (
     collision_markdown,
     mesh_markdown,
@@ -64,6 +65,7 @@ TABLES = {
     "base_poses_benchmark.json": mobile_base_markdown,
     "benchmark.json": kinematics_markdown,
     "closed_forms.json": closed_forms_markdown,
+    "cloud_benchmark.json": clouds_markdown,
     "collision_benchmark.json": collision_markdown,
     "collision_models.json": model_markdown,
     "collision_plans.json": plans_markdown,
