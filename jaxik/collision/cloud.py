@@ -81,6 +81,10 @@ class Cloud(Constant):
         center = xp.where(self.center[:, :1] > FAR / 2.0, FAR, self.center @ turn.T + shift)
         return _placed(center.astype(self.center.dtype), self.radius, self.name)
 
+    def after(self, pose: Any) -> Cloud:
+        """The cloud, moved by a pose (4, 4), or out of the way, where that is None."""
+        return self.away() if pose is None else self.moved(pose)
+
     def roomy(self, room: int) -> Cloud:
         """The same in arrays for `room` points, one of `ROOMS` and no fewer than these are for."""
         if room == self.room:

@@ -21,6 +21,7 @@ from jaxik.checks.arrays import is_known
 from jaxik.collision import bvh, distance
 from jaxik.collision.bvh import Grouped, RobotTrees
 from jaxik.collision.cloud_search import CloudSearch, ball_around
+from jaxik.collision.field_gap import FieldGap
 from jaxik.collision.leaf_rows import Found, as_columns, count_of, entry, nearest_of, row_at, rows_from
 from jaxik.collision.own_pairs import Exact, Parts
 from jaxik.collision.own_shape import OwnParts, OwnSurfaces
@@ -219,6 +220,8 @@ class Space:
             return _nearer(found, mine, rows, others.gap, False, False, places)
 
         model = lambda found: self._leaves(p, j, j + 1, others, found, others.ball(j))
+        if isinstance(others.gap, FieldGap):  # which is measured to volumes alone
+            return self._if_near(found, ball, others.ball(j), model)
         return self._if_near(found, ball, others.ball(j), own.leaf(p, others, j, model, nearer))
 
     def counts(self, p: Any, k: int, b: Any) -> Any:
@@ -293,7 +296,8 @@ class Space:
                 def other(j: Any, found: Found) -> Found:
                     inside: Any = functools.partial(self.leaf_pair, volumes, placed, origin, others, i, j)
                     theirs = rows_from(others.columns, j, others.size)
-                    if others.size == 1 and volumes.size > 1:  # a sphere around a long one says little
+                    marched = isinstance(others.gap, FieldGap) and volumes.arity > 1
+                    if others.size == 1 and (volumes.size > 1 or marched):  # a sphere around a long one says little
                         bound = lambda: others.gap(((ball[0],), ball[1]), jax.tree_util.tree_map(lambda x: x[0], theirs))
                         inside = lambda found, near=inside: self._if(bound() < found.distance, near, found)
                     if long:
@@ -310,7 +314,9 @@ class Space:
         """Leaf i of the robot's volumes of a kind, and leaf j of the others, each with each."""
         mine, theirs = rows_from(placed.volumes, i, volumes.size), rows_from(others.columns, j, others.size)
         squares, places = others.even and volumes.arity == 1, (origin + i * volumes.size, others.origin + j * others.size)
-        return _nearer(found, mine, theirs, others.gap, squares, volumes.even, places)
+        marched = isinstance(others.gap, FieldGap) and volumes.arity > 1
+        gap = others.gap.below(found.distance) if marched else others.gap  # type: ignore[attr-defined]
+        return _nearer(found, mine, theirs, gap, squares, volumes.even, places)
 
     def _if_near(self, found: Found, a: Any, b: Any, inside: Callable[[Found], Found]) -> Found:
         """Returns what is found `inside` two spheres, unless they are further apart than what is found already."""
@@ -425,7 +431,7 @@ class Space:
         apart = self.own.apart
         yield self.own, self.own.first, self.own, self.own, apart(skeleton_gap)
         for k, others in enumerate(self.others):
-            if not around <= k < self.inner:
+            if not around <= k < self.inner and not isinstance(others.gap, FieldGap):
                 yield self.own, self.own.first, others, None, apart(others.gap) if k < self.inner else depth
 
     def volume(self, volumes: Any, i: Any) -> Any:

@@ -210,12 +210,14 @@ def save_scene(scene: Scene, path: str | Path, *, description: str = "-") -> Non
 
 
 def _written(scene: Scene, description: str, files: dict[str, str]) -> str:
+    if scene.fields.count:
+        raise ValueError(f"save_scene: '{scene.name}' has a distance field; save it by field.save, and the scene without it")
     obstacles, marks = _tables(scene), {mark.name: mark for mark in scene.marks}
-    if any(len(table) > len(own) for table, own in zip(obstacles.values(), scene.owners, strict=True)):
+    if any(len(table) > len(own) for table, own in zip(obstacles.values(), scene.owners, strict=False)):
         raise ValueError(f"save_scene: obstacles of '{scene.name}' belong to no object; save what a SceneBuilder made")
     tables: list[tuple[str, dict[str, Any]]] = []
     for i, name in enumerate(scene.object_names):
-        rows = {kind: table[np.array(own) == i] for (kind, table), own in zip(obstacles.items(), scene.owners, strict=True)}
+        rows = {kind: table[np.array(own) == i] for (kind, table), own in zip(obstacles.items(), scene.owners, strict=False)}
         rows = {kind: r[np.abs(r).max(axis=1) < FAR / 2.0] for kind, r in rows.items() if len(r)}  # the rest was taken away
         if name in marks:
             tables.append(("mark", {"name": name, **_mark_keys(marks[name], rows), **_row_keys(rows)}))
@@ -230,9 +232,10 @@ def _written(scene: Scene, description: str, files: dict[str, str]) -> str:
 
 def _tables(scene: Scene) -> dict[str, np.ndarray]:
     """All obstacles by kind, as rows of the numbers that `SceneBuilder` holds."""
+    plain = [(kind, parts) for kind, parts in SHAPES.items() if kind != "fields"]
     edges = lambda name: 2.0 if name == "half" else 1.0
     rows = lambda kind, name, shape: np.reshape(getattr(getattr(scene, kind), name), (-1, math.prod(shape[1:]))) * edges(name)
-    return {kind: np.column_stack([rows(kind, *part) for part in parts.items() if part[1]]) for kind, parts in SHAPES.items()}
+    return {kind: np.column_stack([rows(kind, *part) for part in parts.items() if part[1]]) for kind, parts in plain}
 
 
 def _mark_keys(mark: Mark, rows: dict[str, np.ndarray]) -> dict[str, Any]:
