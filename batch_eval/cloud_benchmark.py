@@ -1,15 +1,18 @@
-"""Clouds of points as solids: `python batch_eval/cloud_benchmark.py [--most 1000000]`.
+"""Clouds of points as solids: `python batch_eval/cloud_benchmark.py [--most 1000000] [--goals FOLDER]`.
 
 Needs `pip install -e ".[test,peers]"`, and `vamp-planner` for its line. Prints, and writes `batch_eval/cloud_benchmark.json`. A
 Panda stands before a table, a wall and twelve boxes, whose surfaces are points. Clearances are exact to the points' balls, and
 so is coal's octree to its cubes; SciPy's tree is asked from the centres of balls along the robot's capsules, of which there are
-many, without what comes before and after. By turns; the least time of some rounds counts.
+many, without what comes before and after. By turns; the least time of some rounds counts. FOLDER holds a robot and its
+problems of MotionBenchMaker (`setups/`): of 200, motions are planned among the solids, and among points on their surfaces.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import importlib.util
+import itertools
 import json
 import time
 from collections.abc import Callable
@@ -20,11 +23,13 @@ import coal
 import jax
 import jax.numpy as jnp
 import numpy as np
+import trimesh
 from race import machine
 from scipy.spatial import cKDTree
+from setups import motionbenchmaker
 
 import jaxik
-from jaxik.collision import clearance, clearance_to_spheres, collides
+from jaxik.collision import clearance, clearance_to_spheres, collides, robot_spheres
 from jaxik.kinematics import link_frames
 
 RADIUS = 0.005  # [m] of a point's ball
@@ -32,6 +37,8 @@ BATCH, ROUNDS = 1000, 15
 COUNTS = (1000, 10_000, 100_000, 1_000_000)
 ALL_AT_ONCE, CASES = 1000, 100  # configurations of a case, and cases: clouds that are searched by brute force, too
 APART = 0.02  # [m] of balls along a capsule, for SciPy
+PROBLEMS, POINTS, FINE = 200, 50_000, 0.002  # problems; points on the surfaces of each, and the radius of their balls [m]
+SAMPLE = 0.01  # [s] at which motions are looked at
 SLOW = 20  # configurations that coal is asked for from Python
 
 
@@ -159,9 +166,55 @@ def checked(robot: jaxik.Robot, rng: np.random.Generator) -> dict[str, Any]:
     return found
 
 
+def on_surfaces(scene: jaxik.Scene, count: int) -> np.ndarray:
+    """Points on the surfaces of a scene's boxes, cylinders and balls (count, 3) [m]."""
+    boxes, cylinders, spheres = scene.boxes, scene.cylinders, scene.spheres
+    make = trimesh.creation
+    solids = [make.box(2.0 * half, frame) for frame, half in zip(boxes.world_T_box, boxes.half, strict=True)]
+    rows = zip(cylinders.world_T_cylinder, cylinders.radius, cylinders.half, strict=True)
+    solids += [make.cylinder(radius, 2.0 * half, transform=frame) for frame, radius, half in rows]
+    for center, radius in zip(spheres.center, spheres.radius, strict=True):
+        solids.append(make.icosphere(radius=radius).apply_translation(center))
+    return trimesh.sample.sample_surface(trimesh.util.concatenate(solids), count, seed=0)[0].astype(np.float32)
+
+
+def planned(folder: Path) -> dict[str, Any]:
+    """Motions among solids, and among points on their surfaces; which of these hit a point's ball says SciPy's tree."""
+    robot = motionbenchmaker.load_robot(folder)
+    placed = jax.jit(jax.vmap(lambda q: robot_spheres(robot, q)))
+    solid, cloud, hits, solved = [], [], 0, [0, 0]
+    for goal in itertools.islice(motionbenchmaker.goals(folder, robot, every=3), PROBLEMS):
+        points = on_surfaces(goal.scene, POINTS)
+        scene = jaxik.make_scene().with_cloud(points, FINE)
+        found = []
+        for around, times in ((goal.scene, solid), (scene, cloud)):
+            plan = functools.partial(jaxik.plan_motion, robot, goal.start, goal.q, scene=around)
+            moved = plan()
+            times.append(least(lambda plan=plan: (plan(), None)[1], 2))
+            found.append(moved)
+        solved = [so_far + bool(moved) for so_far, moved in zip(solved, found, strict=True)]
+        if found[1]:
+            centres, radii = map(np.asarray, placed(found[1].trajectory.sample(SAMPLE).q))
+            hits += bool(np.any(cKDTree(points).query(centres, workers=-1)[0] < radii + FINE))
+    p50 = lambda times: float(np.median(times))
+    return {
+        "problems": len(solid),
+        "points": POINTS,
+        "radius_m": FINE,
+        "solved_solids": solved[0],
+        "solved_cloud": solved[1],
+        "hit": hits,
+        "solids_p50_s": p50(solid),
+        "cloud_p50_s": p50(cloud),
+        "solids_p95_s": float(np.quantile(solid, 0.95)),
+        "cloud_p95_s": float(np.quantile(cloud, 0.95)),
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--most", type=int, default=COUNTS[-1], help="points of the largest cloud")
+    parser.add_argument("--goals", type=Path, help="a robot and its problems of MotionBenchMaker")
     parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
     arguments = parser.parse_args()
     robot, rng = jaxik.load("panda"), np.random.default_rng(0)
@@ -175,6 +228,9 @@ def main() -> None:
         print(json.dumps(row), flush=True)
     told["checked"] = checked(robot, rng)
     print(json.dumps(told["checked"]))
+    if arguments.goals is not None:
+        told["planned"] = planned(arguments.goals)
+        print(json.dumps(told["planned"]))
     arguments.out.write_text(json.dumps(told, indent=1) + "\n")
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tables.changes import changes_markdown
+from tables.clouds import clouds_markdown
 from tables.collision import (
     collision_markdown,
     mesh_markdown,
@@ -65,6 +66,7 @@ TABLES = {
     "base_poses_benchmark.json": mobile_base_markdown,
     "benchmark.json": kinematics_markdown,
     "closed_forms.json": closed_forms_markdown,
+    "cloud_benchmark.json": clouds_markdown,
     "collision_benchmark.json": collision_markdown,
     "collision_models.json": model_markdown,
     "collision_plans.json": plans_markdown,

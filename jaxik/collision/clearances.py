@@ -71,6 +71,14 @@ def object_clearances(robot: Robot, scene: Scene, q: Float[Array, " n"]) -> Floa
     return by_object(robot, len(scene.object_names), as_wide(grouped(scene, robot, by_object=True), q), q)
 
 
+def link_clearances_within(robot: Robot, around: Grouped, q: Any, within: Any) -> Any:
+    """`link_clearances` (k,), but no more than a link's distance in `within` (k,) [m]: what is further is not looked for.
+    Nothing is checked. Traced, without derivatives."""
+    q = as_configuration(robot, q)
+    least = Space(robot, around, q).each(lambda found: _seen(found.distance), within=within)
+    return least + _unsound(robot, around, q)
+
+
 def link_contacts(robot: Robot, around: Grouped, q: Any) -> tuple[Any, list[Any]]:
     """`link_clearances` (k,), and their derivatives by each joint: n arrays (k,) [m/rad, 1]."""
     space = Space(robot, around, as_configuration(robot, q))

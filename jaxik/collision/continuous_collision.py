@@ -34,7 +34,7 @@ from jaxik.checks.arrays import Array, as_numbers, is_known, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.ball_trees import balls_of
 from jaxik.collision.bvh import decided_within, grouped, obstacles_in, own_in, pair_tables
-from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_clearances
+from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_clearances_within
 from jaxik.collision.own_shape import CLOSE, told_below
 from jaxik.collision.scene import FAR, KINDS, LIMIT, NODES, SHAPES, Scene
 from jaxik.collision.volumes import box_spheres, xp_of
@@ -188,7 +188,7 @@ def _advanced(
     end = _State(_Measured(one, 0, 0), one, one, far, zero, far, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
 
     def marched(robot: Robot, scene: Any, end: _State) -> _State:
-        measured, bounds = _ruler(robot, scene, start, goal, extent, margin)
+        measured, bounds = _ruler(robot, scene, start, goal, extent, margin, enough, resolution)
         return _marched_on(measured, _Sight(margin, resolution, enough, first, bounds), end)
 
     if robot.self_pairs:
@@ -215,20 +215,26 @@ def _decided_as_asked(scene: Any, margin: Any, resolution: Any, enough: Any) -> 
     return decided_within(scene, within)
 
 
-def _ruler(robot: Robot, scene: Any, start: Any, goal: Any, extent: Any, margin: Any) -> tuple[Any, _Bounds]:
+def _ruler(
+    robot: Robot, scene: Any, start: Any, goal: Any, extent: Any, margin: Any, enough: Any, resolution: Any
+) -> tuple[Any, _Bounds]:
     """The function that measures one configuration of the motion, less what rounding may have added, and the bounds of its
-    rows."""
+    rows. What is so far that it stays beyond `enough` on the whole motion is not looked for."""
     rows, moved = _rows(robot), goal - start
     bounds, tables = _row_bounds(robot, rows, start, goal), _table_speeds(robot, rows, start, goal, margin)
     short = ROUNDING * float(jnp.finfo(start.dtype).eps) * (extent + _size(robot, bounds.length, start, goal))
     columns = np.searchsorted(solid_links(robot), [row.link for row in rows])
+    speed = jnp.maximum(bounds.speed, tables)
+    of_link = [[0.0, *(speed[row] for row in np.flatnonzero(columns == k))] for k in range(len(solid_links(robot)))]
+    within = enough + 2.0 * resolution + jnp.max(short) + _most(of_link, start.dtype)
 
     def measured(t: Any) -> _Measured:
         q = start + t * moved
-        apart = jnp.minimum(link_clearances(robot, scene, q)[columns] - short, FAR)  # a number, where there is nothing to hit
+        apart = link_clearances_within(robot, scene, q, within)[columns] - short
+        apart = jnp.minimum(apart, FAR)  # a number, where there is nothing to hit
         return _Measured(t, apart, jnp.maximum(_speeds(robot, rows, q, moved), tables))
 
-    return measured, bounds._replace(speed=jnp.maximum(bounds.speed, tables))
+    return measured, bounds._replace(speed=speed)
 
 
 class _Sight(NamedTuple):

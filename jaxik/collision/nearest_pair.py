@@ -136,9 +136,13 @@ class Space:
         one = lambda _, i: (None, then(find(i, self._start(jnp.inf, tracked))))
         return lax.scan(one, None, jnp.arange(count, dtype=jnp.int32))[1]
 
-    def each(self, then: Callable[[Found], Any], tracked: bool = False) -> Any:
-        """`then` of the nearest pair of each part, in arrays with an entry a link, from the base on."""
-        return jax.tree_util.tree_map(lambda x: x[::-1], self.mapped(len(self.trees.links), self.part, then, tracked))
+    def each(self, then: Callable[[Found], Any], tracked: bool = False, within: Any = None) -> Any:
+        """`then` of the nearest pair of each part, in arrays with an entry a link, from the base on; of pairs that are nearer
+        than a link's distance in `within` (k,) [m], if that is told."""
+        find: Callable[[Any, Found], Found] = self.part
+        if within is not None:
+            find = lambda p, found: self.part(p, found._replace(distance=entry(within[::-1], p)))
+        return jax.tree_util.tree_map(lambda x: x[::-1], self.mapped(len(self.trees.links), find, then, tracked))
 
     def objects(self, count: int, then: Callable[[Found], Any], tracked: bool = False) -> Any:
         """`then` of the nearest pair of each object, which is branch after branch of the obstacles."""

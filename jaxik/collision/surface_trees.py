@@ -303,7 +303,7 @@ def walk(trees: Trees, s: Any, meets: Callable[..., Any], inside: Callable[..., 
 
         return inside(own[0], state) if count == 1 else lax.fori_loop(jnp.int32(0), jnp.int32(count), each, state)
 
-    met = lambda box, state: meets(box_at(trees, heap + box, dtype), state)
+    met = lambda box, state: (meets(box_at(trees, heap + box, dtype), state), 0)
     return tree_walk.walk(1 << entry(trees.levels, s), met, every, state)
 
 

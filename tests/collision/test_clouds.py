@@ -146,8 +146,8 @@ def test_the_gradient_is_a_difference():
 
 def test_its_own_points_have_a_gradient():
     center = EMPTY.with_cloud(SPREAD[:50], RADIUS).clouds[0].points
-    seen = lambda points: clearance(PANDA, EMPTY.with_cloud(points, RADIUS), Q[1])
-    slope = jax.jit(jax.grad(seen))(center)
+    seen = jax.jit(lambda points: object_clearances(PANDA, EMPTY.with_cloud(points, RADIUS), Q[1])[0])
+    slope = jax.grad(seen)(center)
     (row,) = np.flatnonzero(np.abs(slope).max(axis=1))  # of one point alone
     along = 1e-6 * slope[row] / np.linalg.norm(slope[row])
     ahead, behind = (seen(center + sign * along * (np.arange(50) == row)[:, None]) for sign in (1, -1))
