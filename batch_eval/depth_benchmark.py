@@ -143,14 +143,15 @@ def judged(cell: Cell, images: list[np.ndarray], poses: list[np.ndarray]) -> dic
     every = every[np.all((every > LOW) & (every < LOW + VOXELS * SPACING), axis=1)]
     at = lambda f, field: np.asarray(jax.jit(jax.vmap(f, (None, 0)))(field, every.astype(np.float32)))
     high = LOW + VOXELS * SPACING
-    cloud = fields.cloud_field(every, 0.0, LOW, high, spacing=2.0 * SPACING)
+    few = sensing.thinned(every, SPACING)
+    cloud = fields.cloud_field(few, SPACING * np.sqrt(3.0), LOW, high, spacing=4.0 * SPACING)
     return {
         **{f"{name} voxels": count for name, count in grid.counts.items()},
         "points in free voxels": POINTS,
         "of them not seen": int((~seen).sum()),
         "points that cameras saw": len(every),
         "of them beyond the bound of the voxels": int((at(fields.field_bound, grid.field(2)) > 0.0).sum()),
-        "of them beyond the error of their cloud's field": int((np.abs(at(fields.field_distance, cloud)) > cloud.error).sum()),
+        "of them beyond the bound of a thinned cloud": int((at(fields.field_bound, cloud) > 0.0).sum()),
     }
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 
 def fields_markdown(result: dict[str, Any]) -> str:
-    """What making, asking and trusting a field takes."""
+    """Times of making and asking a field, and what its bounds and proofs were found to be."""
     panda, bounds, sure = (result[name] for name in ("panda", "bounds", "certificates"))
     nodes = " x ".join(map(str, result["nodes"]))
     lines = [f"| field of {nodes} nodes, {100 * result['spacing_m']:g} cm apart | |", "| --- | --- |"]
@@ -27,7 +27,7 @@ def fields_markdown(result: dict[str, Any]) -> str:
 
 
 def depth_markdown(result: dict[str, Any]) -> str:
-    """What an image takes, and how often what is said of it was wrong."""
+    """Times of an image, and how often what is said of it was wrong."""
     lines = ["| an image of 640 x 480, a grid of 128^3 | |", "| --- | --- |"]
     lines += [f"| {name} | {ms:.1f} ms |" for name, ms in result["ms"].items()]
     fusion = result["fusion"]
