@@ -35,7 +35,7 @@ MARGIN = 1e-4  # [m] that a motion is to keep: what rounding takes is no hit
 
 
 def builds(low: np.ndarray, high: np.ndarray, triangles: np.ndarray) -> dict[str, float]:
-    """The seconds that fields of such a box take, made a second time."""
+    """The seconds that fields of such a box take, made a second time where the first took no more than ten."""
     rng = np.random.default_rng(0)
     boxes = [[*rng.uniform(low + 0.2, high - 0.2), *rng.uniform(0.05, 0.3, 3)] for _ in range(12)]
     cloud = rng.uniform(low, high, (100_000, 3))
@@ -46,7 +46,8 @@ def builds(low: np.ndarray, high: np.ndarray, triangles: np.ndarray) -> dict[str
         "a cloud of 100,000 points": lambda: fields.cloud_field(cloud, 0.01, low, high, spacing=SPACING),
         "voxels": lambda: fields.voxel_field(cubes, np.eye(4), spacing=SPACING),
     }
-    return {name: [clocked(make)[1] for _ in range(2)][-1] for name, make in makes.items()}
+    found = {name: clocked(make)[1] for name, make in makes.items()}
+    return {name: first if first > 10.0 else clocked(makes[name])[1] for name, first in found.items()}
 
 
 def bounds(field: Any, judge: Judge, count: int) -> dict[str, Any]:
