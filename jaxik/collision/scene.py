@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, Shape, check_known, check_shape, is_known, is_rigid, rigid_frame
-from jaxik.checks.options import as_count, no_such, shown
+from jaxik.checks.options import as_count, check_flag, no_such, shown
 from jaxik.collision.cloud import Cloud, check_cloud, cloud_of, clouds_alike
 from jaxik.collision.obstacle_kinds import (
     KINDS,
@@ -34,6 +34,7 @@ from jaxik.collision.obstacle_kinds import (
     Triangles,
     places_after,
 )
+from jaxik.collision.obstacle_rows import check_count, kinds_of, rows_of_object, with_bodies
 from jaxik.pytree import Constant, replaced, static
 
 SIZES = (0, 8, 32, *(k * 2**n for n in range(5, 14) for k in (2, 3)))
@@ -128,11 +129,6 @@ class Scene(Constant):
         """The numbers of objects that are given by indices or names, one or several."""
         several = isinstance(given, Iterable) and not isinstance(given, str) and getattr(given, "ndim", 1) > 0
         return [self._index(each) for each in (given if several else [given])]
-
-    def numbered(self, name: str) -> tuple[tuple[str, ...], int]:
-        """The names of all objects with that one, and its number."""
-        names = self.object_names if name in self.object_names else (*self.object_names, name)
-        return names, names.index(name)
 
     def with_field(self, field: Any, *, name: str = "field", removable: bool = True) -> Scene:
         """The scene with a `jaxik.fields.DistanceField` as a solid, an object of that name; a field of the same name is
@@ -244,10 +240,41 @@ class Scene(Constant):
 
         Raises `ValueError` as `SceneBuilder` does, for a mark's name, and where there is no room for so many.
         """
-        from jaxik.collision.scene_builder import with_object
-
         check_known("Scene.with_", scene=self)
-        return with_object(self, name, removable, solid, obstacles)
+        check_flag(f"object '{shown(name)}'", removable=removable, solid=solid)
+        rows = rows_of_object(name, obstacles)
+        if "triangles" in rows:
+            rows["triangles"] = with_bodies(rows["triangles"], bool(solid))
+        if self._is_special(name):
+            raise ValueError(f"scene '{self.name}': '{shown(name)}' is a mark, a cloud or a field; give another name")
+        return self._with_object(name, bool(removable), kinds_of(rows))
+
+    def _is_special(self, name: str) -> bool:
+        """Whether a name is that of a mark, a cloud or a field."""
+        fields = {self.object_names[owner] for owner in self.owners[KINDS.index("fields")]}
+        return name in {each.name for some in (self.marks, self.clouds) for each in some} | fields
+
+    def _with_object(self, name: str, removable: bool, parts: dict[str, Any]) -> Scene:
+        """The scene with an object of such parts in the place of the one of that name, or as one more."""
+        names = self.object_names if name in self.object_names else (*self.object_names, name)
+        number, kinds, owners = names.index(name), {}, list(self.owners)
+        for k, (kind, old, before) in enumerate(self.by_kind()):
+            new = parts.get(kind)
+            if new is None or not (new.count or (before == number).any()):
+                continue
+            kept = np.flatnonzero((before >= 0) & (before != number))
+            join = lambda a, b, kept=kept: np.concatenate([np.asarray(a)[kept], b]) if np.ndim(a) else a
+            kinds[kind] = jax.tree_util.tree_map(join, old, new)
+            owners[k] = (*before[kept].tolist(), *[number] * new.count)
+            check_count(f"scene '{self.name}': {kind}", len(owners[k]))
+            room = dict(self.room).get(kind, len(owners[k]))
+            if len(owners[k]) > room:
+                mend = "make room for more (Scene.with_room)"
+                raise ValueError(f"scene '{self.name}': {len(owners[k])} {kind} with room for {room}; {mend}")
+        flags = (*self.removable[:number], removable, *self.removable[number + 1 :])
+        found = dataclasses.replace(self, **kinds, object_names=names, removable=flags, owners=tuple(owners))
+        remembered(found, "checked", lambda: check_scene(self))
+        return found
 
     def with_room(self, **counts: Any) -> Scene:
         """The scene with room for so many obstacles by kind, `boxes=20`: programs that are compiled for it serve all scenes
