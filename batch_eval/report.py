@@ -18,6 +18,7 @@ from tables.collision import (
     scenes_markdown,
 )
 from tables.constrained import constrained_markdown
+from tables.depth import depth_markdown, fields_markdown
 from tables.exports import export_markdown
 from tables.five_joints import five_joints_markdown
 from tables.forces import dynamics_markdown, identification_markdown, torque_markdown, touch_markdown
@@ -73,9 +74,11 @@ TABLES = {
     "collision_scenes.json": scenes_markdown,
     "collision_scaling.json": scaling_markdown,
     "constrained_benchmark.json": constrained_markdown,
+    "depth_benchmark.json": depth_markdown,
     "dynamics_benchmark.json": dynamics_markdown,
     "ends_benchmark.json": ends_markdown,
     "export_benchmark.json": export_markdown,
+    "field_benchmark.json": fields_markdown,
     "five_joints_benchmark.json": five_joints_markdown,
     "furniture_benchmark.json": furniture_markdown,
     "general_arms.json": general_markdown,

@@ -11,7 +11,8 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, check_known
 from jaxik.checks.options import check_kind, no_such, shown
-from jaxik.collision.scene import KINDS, SHAPES, Scene, check_scene
+from jaxik.collision.obstacle_kinds import KINDS, SHAPES
+from jaxik.collision.scene import Scene, check_scene
 from jaxik.collision.surface_trees import surface_of
 from jaxik.kinematics.forward import as_posture, joint_frames
 from jaxik.kinematics.robot import Robot, solid_links

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.collision.leaf_rows import SLACK, Balls
-from jaxik.collision.scene import FAR
+from jaxik.collision.leaf_rows import FAR, SLACK, Balls
 from jaxik.collision.surface_trees import across
 
 FAN = 4  # leaves a branch, at least

@@ -21,10 +21,11 @@ from jaxik.checks.arrays import is_known
 from jaxik.collision.ball_trees import FAN, balls_around, balls_of, by_place, joined
 from jaxik.collision.cloud import LEAF as CLOUD_LEAF
 from jaxik.collision.cloud import Cloud, nothing
-from jaxik.collision.leaf_rows import SLACK, Balls
+from jaxik.collision.leaf_rows import FAR, SLACK, Balls
+from jaxik.collision.obstacle_kinds import NODES, SHAPES, SIZES_OF
 from jaxik.collision.own_shape import CLOSE, Own, once, own_shapes, shape_of, told_below
 from jaxik.collision.refit import Groups
-from jaxik.collision.scene import FAR, NODES, SHAPES, SIZES_OF, SOLID, Scene, check_scene, remembered, with_zeros
+from jaxik.collision.scene import SOLID, Scene, check_scene, remembered, with_zeros
 from jaxik.collision.volumes import local_volumes
 from jaxik.kinematics.link_distance_table import PairTable
 from jaxik.kinematics.robot import Robot, geometry_between, solid_links

@@ -21,8 +21,9 @@ from jaxik.checks.arrays import Array, is_known, stop_gradients
 from jaxik.checks.options import check_kind
 from jaxik.collision import bvh
 from jaxik.collision.bvh import Grouped, at_margin, grouped, obstacles_in
+from jaxik.collision.leaf_rows import FAR
 from jaxik.collision.nearest_pair import Space
-from jaxik.collision.scene import FAR, Scene
+from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.spmd import TEAM, kernel
 from jaxik.spmd.trace import TEAM_SIZE

@@ -24,7 +24,8 @@ from jaxik.collision import distance
 from jaxik.collision.bvh import balls_of_object, grouped, own_in, pair_tables
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.every_contact import Contact, every_contact
-from jaxik.collision.scene import FAR, Change, Scene, check_scene, remembered
+from jaxik.collision.leaf_rows import FAR
+from jaxik.collision.scene import Change, Scene, check_scene, remembered
 from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.collision.shape_distances import Gap, along, depth_gap, nearest_points, obstacles_of, skeleton_gap
 from jaxik.collision.solids import SAMPLES

@@ -35,8 +35,10 @@ from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.ball_trees import balls_of
 from jaxik.collision.bvh import decided_within, grouped, obstacles_in, own_in, pair_tables
 from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_clearances_within
+from jaxik.collision.leaf_rows import FAR
+from jaxik.collision.obstacle_kinds import KINDS, LIMIT, NODES, SHAPES
 from jaxik.collision.own_shape import CLOSE, told_below
-from jaxik.collision.scene import FAR, KINDS, LIMIT, NODES, SHAPES, Scene
+from jaxik.collision.scene import Scene
 from jaxik.collision.volumes import box_spheres, xp_of
 from jaxik.kinematics.forward import joint_frames, row_rates, row_values
 from jaxik.kinematics.link_distance_table import PairTable

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.collision.bvh import Grouped, decided_within, grouped, robot_trees
+from jaxik.collision.leaf_rows import FAR
 from jaxik.collision.nearest_pair import Space
-from jaxik.collision.scene import FAR, Scene
+from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels

@@ -105,7 +105,7 @@ class FieldGap:
             number = jnp.clip(jnp.floor(lax.stop_gradient(place)).astype(jnp.int32), 0, last - 1)  # also of NaN
             counts.append(last + 1)
             first.append(number)
-            shares.append(jnp.clip(place - number.astype(place.dtype), 0.0, 1.0))
+            shares.append(place - number.astype(place.dtype))
         corner = grid.first + (first[0] * counts[1] + first[1]) * counts[2] + first[2]
         node = lambda k: self.values.at[corner + k].get(mode="promise_in_bounds")
         along_z = lambda k: _between(node(k), node(k + 1), shares[2])

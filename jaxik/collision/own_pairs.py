@@ -17,9 +17,8 @@ from jax import lax
 from jaxik.checks.arrays import stop_gradients
 from jaxik.collision.field_gap import FieldGap
 from jaxik.collision.gjk import Support, farthest, separation
-from jaxik.collision.leaf_rows import Found, count_of, either, entry, nearest_of, row_at, rows_from
+from jaxik.collision.leaf_rows import FAR, Found, count_of, either, entry, nearest_of, row_at, rows_from
 from jaxik.collision.own_shape import OwnParts, OwnSurfaces
-from jaxik.collision.scene import FAR
 from jaxik.collision.shape_distances import Core, Gap, box_gap, cylinder_gap, outside, skeleton_gap, triangle_gap
 from jaxik.collision.surface_trees import (
     TOUCH,

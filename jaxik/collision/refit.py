@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from jaxik.collision.ball_trees import balls_around, runs
-from jaxik.collision.leaf_rows import SLACK, Balls
-from jaxik.collision.scene import FAR, NODES, SIZES_OF, Change, Scene, places_after
+from jaxik.collision.leaf_rows import FAR, SLACK, Balls
+from jaxik.collision.obstacle_kinds import NODES, SIZES_OF, places_after
+from jaxik.collision.scene import Change, Scene
 from jaxik.pytree import replaced
 
 

@@ -21,24 +21,22 @@ from jaxtyping import Float
 from jaxik.checks.arrays import Array, Shape, check_known, check_shape, is_known, is_rigid, rigid_frame
 from jaxik.checks.options import as_count, no_such, shown
 from jaxik.collision.cloud import Cloud, check_cloud, cloud_of, clouds_alike
-from jaxik.collision.leaf_rows import FAR
-from jaxik.pytree import Constant, read_only, replaced, static
-from jaxik.spatial.rotations import frame
+from jaxik.collision.obstacle_kinds import (
+    KINDS,
+    SHAPES,
+    SIZES_OF,
+    Boxes,
+    Capsules,
+    Cylinders,
+    Fields,
+    Points,
+    Spheres,
+    Triangles,
+    places_after,
+)
+from jaxik.pytree import Constant, replaced, static
 
-LIMIT = 100.0  # [m] that anything may be away or long; a crop or a cell is smaller, one in millimetres is not
 SIZES = (0, 8, 32, *(k * 2**n for n in range(5, 14) for k in (2, 3)))
-SHAPES: dict[str, dict[str, Shape]] = {  # of k obstacles; the points' radius is that of all
-    "points": {"center": ("k", 3), "radius": ()},
-    "spheres": {"center": ("k", 3), "radius": ("k",)},
-    "capsules": {"a": ("k", 3), "b": ("k", 3), "radius": ("k",)},
-    "boxes": {"world_T_box": ("k", 4, 4), "half": ("k", 3)},
-    "cylinders": {"world_T_cylinder": ("k", 4, 4), "radius": ("k",), "half": ("k",)},
-    "triangles": {"a": ("k", 3), "b": ("k", 3), "c": ("k", 3), "solid": ("k",)},
-    "fields": {"world_T_field": ("k", 4, 4), "half": ("k", 3), "pitch": ("k",), "error": ("k",), "values": ("k", "m")},
-}
-KINDS = tuple(SHAPES)
-SIZES_OF = ("radius", "half", "solid", "pitch", "error")  # which of the fields say how large and what, not where
-NODES = "values"  # of a field's nodes: neither where nor how large
 
 
 class Change(NamedTuple):
@@ -46,126 +44,6 @@ class Change(NamedTuple):
 
     object: int
     pose: Any
-
-
-def places_after(place: Any, pose: Any) -> Any:
-    """Places, points (k, 3) or frames (k, 4, 4), that have moved by a pose (4, 4), or out of the way, where that is None."""
-    if pose is None:
-        xp = np if is_known(place) else jnp
-        away = frame(np.full(3, FAR)) if place.ndim == 3 else np.full(3, FAR)
-        return xp.broadcast_to(away.astype(place.dtype), place.shape)
-    return pose @ place if place.shape[-1] == 4 else place @ pose[:3, :3].T + pose[:3, 3]
-
-
-class Kind(Constant):
-    """Obstacles of one kind: where they are, as points (k, 3) or frames (k, 4, 4), and their sizes, `radius` and `half` [m]."""
-
-    @property
-    def places(self) -> dict[str, Any]:
-        names = [field.name for field in dataclasses.fields(self)]
-        return {name: getattr(self, name) for name in names if name not in (*SIZES_OF, NODES)}
-
-    @property
-    def count(self) -> int:
-        return len(next(iter(self.places.values())))
-
-    @property
-    def there(self) -> np.ndarray:
-        """(k,): which are neither padding nor taken away; all of what is traced."""
-        place = next(iter(self.places.values()))
-        if not is_known(place):
-            return np.ones(len(place), bool)
-        return np.asarray(np.abs(np.asarray(place)).max(axis=tuple(range(1, place.ndim)), initial=0.0) < FAR / 2.0)
-
-    def put(self, to: Callable[[Any], Any]) -> Kind:
-        """The same ones, each of their places turned into another."""
-        return dataclasses.replace(self, **{name: to(place) for name, place in self.places.items()})
-
-    def moved(self, rows: Sequence[np.ndarray], poses: Sequence[Any]) -> Kind:
-        """The same ones, some rows of which have moved, one after the other by poses (4, 4), or out of the way."""
-        traced = [isinstance(x, jax.core.Tracer) for x in (*vars(self).values(), *poses)]
-
-        def after(place: Any) -> Any:
-            place = jnp.asarray(place) if any(traced) else np.array(place)
-            for some, pose in zip(rows, poses, strict=True):
-                if isinstance(place, np.ndarray):
-                    place[some] = places_after(place[some], pose)
-                elif len(some):
-                    place = place.at[some].set(places_after(place[some], pose))
-            return place
-
-        return replaced(self, **{name: read_only(after(place)) for name, place in self.places.items()})
-
-
-class Points(Kind):
-    """Points of one common `radius` [m] (0 for bare points): the cheapest obstacle, one square root a configuration."""
-
-    center: Float[Array, "k 3"]
-    radius: Float[Array, ""]
-
-
-class Spheres(Kind):
-    """Balls, each with its own radius [m]."""
-
-    center: Float[Array, "k 3"]
-    radius: Float[Array, " k"]
-
-
-class Capsules(Kind):
-    """Segments from `a` to `b`, swept by a ball."""
-
-    a: Float[Array, "k 3"]
-    b: Float[Array, "k 3"]
-    radius: Float[Array, " k"]
-
-
-class Boxes(Kind):
-    """`half` holds half the edges along the axes of `world_T_box`."""
-
-    world_T_box: Float[Array, "k 4 4"]
-    half: Float[Array, "k 3"]
-
-
-class Cylinders(Kind):
-    """Round about z of `world_T_cylinder`, from -`half` to `half` along it."""
-
-    world_T_cylinder: Float[Array, "k 4 4"]
-    radius: Float[Array, " k"]
-    half: Float[Array, " k"]
-
-
-class Triangles(Kind):
-    """Surfaces. `solid` is 0, or above 0 of triangles that close around a body, counter-clockwise as seen from outside: what is
-    wholly inside of a body collides with it. Those of an object with the same number are one body: so bodies that overlap have
-    different ones, each for its own depth."""
-
-    a: Float[Array, "k 3"]
-    b: Float[Array, "k 3"]
-    c: Float[Array, "k 3"]
-    solid: Float[Array, " k"]
-
-
-class Fields(Kind):
-    """Distance fields (`jaxik.fields`): grids of cubes of an edge `pitch`, out to `half` edges from the middle of each, with
-    the signed distance at their nodes, in the order of x, y and z, within `error`. Shorter rows of `values` end in zeros."""
-
-    world_T_field: Float[Array, "k 4 4"]
-    half: Float[Array, "k 3"]
-    pitch: Float[Array, " k"]
-    error: Float[Array, " k"]
-    values: Float[Array, "k m"]
-
-    @classmethod
-    def none(cls) -> Fields:
-        """No field at all."""
-        return cls(np.zeros((0, 4, 4)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 0), np.float32))
-
-    def and_(self, more: Fields) -> Fields:
-        """These and more."""
-        width = max(self.values.shape[1], more.values.shape[1])
-        filled = lambda x: np.pad(x, ((0, 0), (0, width - x.shape[1]))) if x.shape[1] < width else x
-        wide = [dataclasses.replace(each, values=filled(each.values)) for each in (self, more) if each.count]
-        return jax.tree_util.tree_map(lambda *x: np.concatenate(x) if len(x) > 1 else x[0], *wide)
 
 
 class Mark(Constant):

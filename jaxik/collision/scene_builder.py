@@ -12,20 +12,9 @@ import numpy as np
 
 from jaxik.checks.arrays import direction, numbers, rigid_frame
 from jaxik.checks.options import check_flag, shown
-from jaxik.collision.scene import KINDS as ALL
-from jaxik.collision.scene import (
-    LIMIT,
-    Boxes,
-    Capsules,
-    Cylinders,
-    Mark,
-    Points,
-    Scene,
-    Spheres,
-    Triangles,
-    check_scene,
-    remembered,
-)
+from jaxik.collision.obstacle_kinds import KINDS as ALL
+from jaxik.collision.obstacle_kinds import LIMIT, Boxes, Capsules, Cylinders, Points, Spheres, Triangles
+from jaxik.collision.scene import Mark, Scene, check_scene, remembered
 from jaxik.collision.surfaces import as_bodies, polygon_triangles
 
 KINDS = tuple(kind for kind in ALL if kind != "fields")  # those that are rows of plain numbers (`Scene.with_field`)

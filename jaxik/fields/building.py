@@ -12,7 +12,8 @@ from jaxik.checks.arrays import Array, check_known, numbers, rigid_frame
 from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.clearances import clearance
-from jaxik.collision.scene import LIMIT, Scene
+from jaxik.collision.obstacle_kinds import LIMIT
+from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.fields.distance_field import HALF_DIAGONAL, MOST, DistanceField
 from jaxik.kinematics.robot import Robot

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from jaxik.checks.arrays import Array, as_numbers, check_known, check_shape, is_known, numbers, rigid_frame
 from jaxik.checks.options import check_kind, optional, shown
 from jaxik.collision.field_gap import FieldGap
-from jaxik.collision.scene import Fields
+from jaxik.collision.obstacle_kinds import Fields
 from jaxik.pytree import Constant
 from jaxik.spatial.algebra import Vec3
 from jaxik.spmd import kernel

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxik.checks.arrays import numbers, rigid_frame
 from jaxik.checks.options import shown
-from jaxik.collision.scene import LIMIT
+from jaxik.collision.obstacle_kinds import LIMIT
 from jaxik.files.documents import MAX_BYTES
 from jaxik.files.polygon_files import READERS, read_polygons
 from jaxik.files.robot_builder import Link

@@ -17,7 +17,7 @@ from typing import Any, get_args
 import numpy as np
 
 from jaxik.checks.options import among, nearest, shown
-from jaxik.collision.scene import LIMIT
+from jaxik.collision.obstacle_kinds import LIMIT
 from jaxik.files.documents import locate, read_bytes
 from jaxik.files.held_joints import Pair, Posture
 from jaxik.files.mesh import resolve

@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 
 from jaxik.checks.options import check_kind, shown
-from jaxik.collision.scene import FAR, SHAPES, Mark, Scene
+from jaxik.collision.leaf_rows import FAR
+from jaxik.collision.obstacle_kinds import SHAPES
+from jaxik.collision.scene import Mark, Scene
 from jaxik.collision.scene_builder import SceneBuilder, hanging
 from jaxik.collision.surfaces import as_bodies
 from jaxik.files.cloud import load_cloud, save_points

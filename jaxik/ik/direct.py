@@ -58,12 +58,12 @@ class Direct:
         self.problem = problem
         self._rigid = RIGID_POSE.repeated(np.eye(4)[None], double=True)
         self._search, self._told = _search(problem), _clearances(problem)
+        self._structure = _structure(problem.scene)
         self._bind(())
 
     def within(self, around: Grouped) -> Direct:
         """The same in other surroundings, for which nothing is compiled. Raises `Unsupported` where these have another form."""
-        form: Any = jax.tree_util.tree_structure
-        if self.problem.scene is None or form(around) != form(self.problem.scene):
+        if self.problem.scene is None or _structure(around) != self._structure:
             raise Unsupported("surroundings of another form")
         other: Direct = object.__new__(Direct)
         vars(other).update(vars(self), problem=replaced(self.problem, scene=around))
@@ -94,6 +94,10 @@ class Direct:
         arrays = {"solutions": q.copy(), "apart": np.zeros(2)}  # of this result alone: who writes into one changes no other
         vars(result).update(self._usual, **found, **numbers, **arrays)
         return result
+
+
+def _structure(around: Grouped | None) -> Any:
+    return jax.tree_util.tree_structure(around)
 
 
 def blind(problem: Problem) -> Problem:

@@ -73,8 +73,8 @@ class Camera(Constant):
     def depth(self, given: Any) -> np.ndarray:
         """A depth image (height, width) as metres, float32, NaN where it has no measurement between near and far. Host.
 
-        Warns of an image of which more than half is beyond 20 times `far`: it is in millimetres. Raises `ValueError` for another
-        shape.
+        Warns of an image of which more than half is beyond 20 times `far`: it is in millimetres. Raises `ValueError` for
+        another shape.
         """
         image = numbers("depth", given, (self.height, self.width)).astype(np.float32)
         with np.errstate(invalid="ignore"):

@@ -188,7 +188,8 @@ class Sharing(NamedTuple):
         """The repeated call, with `others` instead of as many shared arrays from the `first` on. Raises `Unsupported` where
         these have other shapes."""
         before = self.shared[first : first + len(others)]
-        given = [as_operand(x, old.dtype) for x, old in zip(others, before, strict=True)]
+        fits = lambda x, old: isinstance(x, np.ndarray) and x.dtype is old.dtype and x.flags.c_contiguous
+        given = [x if fits(x, old) else as_operand(x, old.dtype) for x, old in zip(others, before, strict=True)]
         if any(x.shape != old.shape or x.dtype != old.dtype for x, old in zip(given, before, strict=True)):
             raise Unsupported("arrays of other shapes")
         return self.calls.bound([*self.shared[:first], *given, *self.shared[first + len(given) :]])

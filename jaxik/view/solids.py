@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.collision.scene import LIMIT, Fields, Scene
+from jaxik.collision.obstacle_kinds import LIMIT, Fields
+from jaxik.collision.scene import Scene
 from jaxik.collision.volumes import local_volumes
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxik
 from jaxik.collision.bvh import grouped
-from jaxik.collision.scene import KINDS
+from jaxik.collision.obstacle_kinds import KINDS
 from jaxik.collision.scene_builder import SceneBuilder
 from jaxik.files import save_scene
 

@@ -107,6 +107,11 @@ def test_gradients_are_those_of_differences(field):
             assert np.abs(gradient - np.transpose([(a - b) / 2e-6 for a, b in ends])).max() < 1e-6
 
 
+def test_gradients_at_nodes_are_those_of_a_cell_beside_it():
+    plane = DistanceField(np.broadcast_to(np.arange(-1.0, 4.0)[:, None, None], (5, 3, 3)), np.eye(4), 1.0)
+    assert np.allclose(jax.grad(field_distance, 1)(plane, jnp.array([2.0, 1.0, 1.0])), [1.0, 0.0, 0.0])
+
+
 def test_a_batch_is_a_loop_and_xla_says_the_same(field):
     points = jnp.asarray(np.random.default_rng(3).uniform(LOW, HIGH, (50, 3)), jnp.float32)
     for f in (field_distance, field_bound):
