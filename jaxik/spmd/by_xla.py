@@ -64,6 +64,7 @@ class _Lanes:
         self.mask: Any = None  # the lanes that take part, where not all do
         self.env: dict[int, Value] = {}
         self.done: set[int] = set()
+        self.turning: list[set[int]] = []  # what is in loops that are being written out, and comes once more
         self.waiting: list[Value] = []
         self.stores: list[tuple[Store, Any, Value]] = []  # that wait for these, with their places
 
@@ -124,16 +125,21 @@ class _Lanes:
         """Does all that waits; what is asked for later is kept."""
         waiting, self.waiting = self.waiting, []
         if waiting:
-            asked = {id(x): x for v, x in self.env.items() if x.array is None and not self.users[v] <= self.done}
+            asked = {id(x): x for v, x in self.env.items() if x.array is None and not self._is_over(v)}
             asked |= {id(x): x for _, _, x in self.stores if x.array is None}
             shared = [x for x in waiting if not x.wide]
             used = {id(a): a for x in waiting if x.wide for a in x.args if not a.wide and a.array is None}
-            compute(shared, [x for k, x in (asked | used).items() if not x.wide], 1)
-            compute([x for x in waiting if x.wide], [x for x in asked.values() if x.wide], self.count)
+            compute(shared, [x for k, x in (asked | used).items() if not x.wide], ())
+            compute([x for x in waiting if x.wide], [x for x in asked.values() if x.wide], (self.count,))
             self.env = {v: x for v, x in self.env.items() if x.array is not None}
         stores, self.stores = self.stores, []
         for memory, group in itertools.groupby(stores, lambda each: each[0].memory):
             self._written(memory, list(group))
+
+    def _is_over(self, v: int) -> bool:
+        """Whether nothing asks for a value any more: nor in another turn of a loop that it stands outside of."""
+        users = self.users[v]
+        return users <= self.done and all(v in inside or users.isdisjoint(inside) for inside in self.turning)
 
     # ----------------------------------------------------------------------------------------------------------------
     # Operations
@@ -228,7 +234,7 @@ class _Lanes:
         other = object.__new__(_Lanes)
         other.__dict__ |= self.__dict__
         other.env, other.memory, other.mask = {**self.env, **env}, dict(memory), mask
-        other.done, other.waiting, other.stores = set(), [], []
+        other.done, other.turning, other.waiting, other.stores = set(), [], [], []
         other.rows = {}
         return other
 
@@ -284,11 +290,14 @@ class _Lanes:
     def _written_out(self, loop: Loop, params: list[int], results: list[int], now: list[Value]) -> list[Value]:
         """A short loop's turns, one after the other."""
         inside = {*self._all([loop.body]), *params, *loop.turn}
-        for turn in range(loop.turns or 0):
+        last = (loop.turns or 0) - 1
+        for turn in range(last + 1):
+            self.turning.append(inside if turn < last else set())
             self.env = {v: x for v, x in self.env.items() if v not in inside} | dict(zip(params, now, strict=True))
             self.env |= {v: constant(self.program.ops[v].type, turn) for v in loop.turn}
             self.done -= inside
             self._operations(loop.body)
+            self.turning.pop()
             now = [self._value(r) for r in results]
         return now
 
