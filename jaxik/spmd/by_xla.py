@@ -18,7 +18,7 @@ from jax import lax
 
 from jaxik.spmd.liveness import Liveness, users_of
 from jaxik.spmd.program import DTYPES, FLOATS, Branch, Load, Loop, Memory, Program, Store, Unsupported, Whole
-from jaxik.spmd.windows import Value, applied, compute, constant, given
+from jaxik.spmd.windows import Value, applied, compute, constant, given, written
 
 TOGETHER = 3000  # operations of one loop over the batch: LLVM's time grows faster than their number
 BLOCK = 4096  # lanes that go through a program together: what they have stays in the caches
@@ -36,15 +36,16 @@ def by_xla(program: Program, operands: Sequence[Any], grid: tuple[int, int]) -> 
     rows = [jnp.broadcast_to(x, (*grid, x.shape[2])).reshape(lanes, -1) for x, each in zip(operands, own, strict=True) if each]
     live = Liveness(program, [not each for each in own], one_row=False)
     users = users_of(program, live)
+    turns = any(program.ops[v].code in ("loop", "branch") for v in live.needed)  # all else is one loop, and goes to no memory
 
     def block(rows: Sequence[Any]) -> list[Any]:
         """The results of some lanes."""
         mine = iter(rows)
-        columns = [next(mine).T if x is None else x for x in shared]
+        columns = [written(next(mine).T) if x is None else x for x in shared]
         return _Lanes(program, live, users, columns, len(rows[0]) if rows else 1).results()
 
     with jax.enable_x64(True):  # the program says how wide each number is
-        many = -(-lanes // BLOCK) if rows else 1
+        many = -(-lanes // BLOCK) if rows and turns else 1
         if many == 1:
             found = block(rows)
         else:

@@ -81,6 +81,11 @@ def _compute(waiting: Sequence[Value], kept: Sequence[Value], shape: tuple[int, 
         x.array = array
 
 
+def written(array: Any) -> Any:
+    """An array as it is, written to memory: what reads it in several places is not to find it out anew each time."""
+    return _together([_twice(array, array.shape)])[0]
+
+
 def _twice(array: Any, shape: tuple[int, ...]) -> Any:
     """Two equal rows: of one, XLA would not make a reduction."""
     return jnp.broadcast_to(array, (2, *shape))
