@@ -15,6 +15,7 @@ from tables.collision import (
     scaling_markdown,
     scenes_markdown,
 )
+from tables.changes import changes_markdown
 from tables.constrained import constrained_markdown
 from tables.exports import export_markdown
 from tables.five_joints import five_joints_markdown
@@ -81,6 +82,7 @@ TABLES = {
     "ik_benchmark.json": ik_markdown,
     "jerk_benchmark.json": jerk_markdown,
     "loop_benchmark.json": loops_markdown,
+    "change_benchmark.json": changes_markdown,
     "mesh_benchmark.json": mesh_markdown,
     "motions.json": motions_markdown,
     "narrow_goals.json": narrow_markdown,

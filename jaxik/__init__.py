@@ -1,11 +1,11 @@
 """Batched, differentiable kinematics for redundant robot arms, on JAX.
 
 Here is what everybody needs; the rest is in the packages, which are there after `import jaxik`: `kinematics`,
-`dynamics`, `analytic`, `homotopy`, `collision`, `costs`, `fitting`, `files`, `ik`, `motions`, `planning`, `identification`,
-`estimation`, `touch`, `teleoperation`, `reach`, `harvesting`, `sweeps`, `view`, `codegen`, and, knowing no robot, `spatial`,
-`optimise` and `spmd`. Each docstring says where its function runs: "Traced." takes one configuration, and is for `jit`, `vmap`
-and `grad`; "Host driver." takes many, chunks and pads them, and gives NumPy; "Host." runs once, outside of JAX's
-transformations.
+`dynamics`, `analytic`, `homotopy`, `collision`, `fields`, `sensing`, `costs`, `fitting`, `files`, `ik`, `motions`, `planning`,
+`identification`, `estimation`, `touch`, `teleoperation`, `reach`, `harvesting`, `sweeps`, `view`, `codegen`, and, knowing no
+robot, `spatial`, `optimise` and `spmd`. Each docstring says where its function runs: "Traced." takes one configuration, and is
+for `jit`, `vmap` and `grad`; "Host driver." takes many, chunks and pads them, and gives NumPy; "Host." runs once, outside of
+JAX's transformations.
 """
 
 import importlib
@@ -31,7 +31,9 @@ with _uncollected():
     from jaxik.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from jaxik import codegen, estimation, harvesting, identification, motions, planning, reach, sweeps, teleoperation, touch
+    from jaxik import codegen, estimation, fields, harvesting, identification, motions, planning, reach, sensing, sweeps
+    from jaxik import teleoperation as teleoperation
+    from jaxik import touch as touch
     from jaxik import view as view
     from jaxik.codegen import export
     from jaxik.harvesting import harvest
@@ -61,6 +63,7 @@ __all__ = [
     "estimation",
     "explain",
     "export",
+    "fields",
     "files",
     "fitting",
     "follow",
@@ -89,6 +92,7 @@ __all__ = [
     "prepare",
     "reach",
     "save",
+    "sensing",
     "solve_ik",
     "spatial",
     "spmd",
@@ -101,11 +105,13 @@ __all__ = [
 _LATE = {  # packages that wait until they are asked for, and what stands here of them: a quarter of the import
     "codegen": "export",
     "estimation": "",
+    "fields": "",
     "harvesting": "harvest",
     "identification": "",
     "motions": "follow predict",
     "planning": "plan_motion plan_path",
     "reach": "",
+    "sensing": "",
     "sweeps": "sweep",
     "teleoperation": "",
     "touch": "",

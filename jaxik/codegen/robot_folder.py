@@ -17,6 +17,7 @@ from jaxik.kinematics import Robot
 from jaxik.version import __version__
 
 ROWS = 37  # of a sample: whole vectors of any processor, and some that are left
+FOLDED = 2**16  # points of a cloud that are folded in: some 1.5 MB of machine code
 
 
 def export_robot(
@@ -39,6 +40,12 @@ def export_robot(
 
     Raises `ValueError` for other functions and targets, and for a robot that lacks what a function needs.
     """
+    for cloud in scene.clouds if scene is not None else ():
+        if cloud.room > FOLDED:
+            mend = "thin them, or export clearance_to_spheres, which takes them in the call"
+            raise ValueError(
+                f"export: cloud '{cloud.name}' of {cloud.count:,} points; at most {FOLDED:,} are folded in; {mend}"
+            )
     name = name or "".join(c if c.isalnum() else "_" for c in robot.name.lower())
     target(target_name)
     samples = [

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, check_known
 from jaxik.checks.options import check_kind, no_such, shown
-from jaxik.collision.scene import SHAPES, Scene, check_scene
+from jaxik.collision.scene import KINDS, SHAPES, Scene, check_scene
 from jaxik.collision.surface_trees import surface_of
 from jaxik.kinematics.forward import as_posture, joint_frames
 from jaxik.kinematics.robot import Robot, solid_links
@@ -90,6 +90,12 @@ Carried = tuple[Box | Volume, np.ndarray, float]
 def _carried(scene: Scene, name: str, joint_T_world: np.ndarray, link: int) -> Iterator[Carried]:
     """Yields the object's obstacles in the last joint's frame, each with its triangles (t, 3, 3) and a radius around them."""
     index = scene.object_names.index(name)
+    if index in scene.owners[KINDS.index("fields")]:
+        raise ValueError(f"attach: '{shown(name)}' is a distance field, which no arm carries; put boxes in its place")
+    if any(cloud.name == name for cloud in scene.clouds):
+        raise ValueError(
+            f"attach: '{shown(name)}' is a cloud of points, which no arm carries; put spheres or boxes in its place"
+        )
     placed = lambda points, a_T_b=joint_T_world: points @ a_T_b[:3, :3].T + a_T_b[:3, 3]
     for kind, obstacles, owners in scene.by_kind():
         fields = {at: np.asarray(getattr(obstacles, at), np.float64) for at in SHAPES[kind]}

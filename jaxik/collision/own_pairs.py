@@ -15,6 +15,7 @@ import numpy as np
 from jax import lax
 
 from jaxik.checks.arrays import stop_gradients
+from jaxik.collision.field_gap import FieldGap
 from jaxik.collision.gjk import Support, farthest, separation
 from jaxik.collision.leaf_rows import Found, count_of, either, entry, nearest_of, row_at, rows_from
 from jaxik.collision.own_shape import OwnParts, OwnSurfaces
@@ -140,7 +141,7 @@ class Parts(OwnShape):
 
     def beside_leaf(self, p: Any, others: Any, j: Any, start: Found, enough: Any) -> Found:
         """The nearest of the bodies of part p and the obstacles of leaf j, if they are nearer than the `start`."""
-        frame, (center, radius) = self.frame(p), row_at(others.leaves, j)
+        frame, (center, radius) = self.frame(p), others.ball(j)
         middle = frame.inverse() @ center
         beyond = lambda a: square_beyond(middle - self._center(a), self._box(a)[1])
 
@@ -169,6 +170,8 @@ class Parts(OwnShape):
         frame, beside = stop_gradients((self._frame_of(i), self._frame_of(b)))
         core = Core((beside @ self._center(b),)).whole()
         for others in space.others[: len(space.obstacles)]:
+            if isinstance(others.gap, FieldGap):  # which no part is measured to
+                continue
             rows, columns = count_of(others.columns), stop_gradients(others.columns)
             told = lambda _, o=others, c=columns: Core.of(o.gap, row_at(c, found.other - o.origin))[0].whole()
             core = lax.cond(among(found.other, others.origin, rows), told, lambda core: core, core)
@@ -303,7 +306,7 @@ class Exact(OwnShape):
         dtype = self.space.dtype
 
         def walked(start: Found, enough: Any) -> Found:
-            frame, (center, radius) = self.frame(p), row_at(others.leaves, j)
+            frame, (center, radius) = self.frame(p), others.ball(j)
             rows, middle = rows_from(others.columns, j, others.size), frame.inverse() @ center
 
             def meets(box: Any, found: Found) -> Any:

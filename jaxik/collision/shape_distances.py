@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxik.collision import distance
-from jaxik.spatial.algebra import Frame, Rot3, Vec3, safe_sqrt
+from jaxik.collision.field_gap import FieldGap
+from jaxik.spatial.algebra import Frame, Rot3, Vec3, safe_divide, safe_sqrt
 
 Gap = Callable[[Any, Any], Any]
 
@@ -87,6 +88,9 @@ def nearest_points(gap: Gap, own: Any, other: Any) -> tuple[Vec3, Vec3]:
     which is the weight of the corner in the point of the skeleton that is nearest.
     """
     (corners, radius), (value, slopes, force) = own, pulled(gap, own, other)
+    if isinstance(gap, FieldGap):  # whose gradient is no unit vector
+        steep = safe_sqrt(force.dot(force))
+        force, slopes = (jax.tree_util.tree_map(lambda x: safe_divide(x, steep), each) for each in (force, slopes))
     share = lambda slope: jnp.where(force.dot(force) > 0.0, slope.dot(force), 1.0 / len(corners))
     nearest = reduce(Vec3.__add__, [c * share(f) for c, f in zip(corners, slopes, strict=True)])
     return nearest - force * radius, nearest - force * (radius + value)
@@ -101,6 +105,8 @@ def obstacles_of(kind: str, rows: Mapping[str, Any], dtype: Any, xp: Any = jnp) 
     if kind == "cylinders":
         sizes = (xp.asarray(rows[name], dtype) for name in ("radius", "half"))
         return cylinder_gap, (*Frame.of_columns(xp.asarray(rows["world_T_cylinder"], dtype)), *sizes)
+    if kind == "fields":
+        return FieldGap.of(rows, dtype, xp)
     if kind == "triangles":
         return triangle_gap, (tuple(columns(rows[name]) for name in "abc"), xp.asarray(rows["solid"], dtype))
     corners = tuple(columns(rows[name]) for name in (("a", "b") if kind == "capsules" else ("center",)))

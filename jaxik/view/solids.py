@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.collision.scene import LIMIT, Scene
+from jaxik.collision.scene import LIMIT, Fields, Scene
 from jaxik.collision.volumes import local_volumes
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.spatial.algebra import Frame
 
+SHOWN = 200_000  # points of a cloud that a browser still turns smoothly
 _TURN = 2.0 * np.pi * np.arange(24) / 24
 _RING = np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
 _BOX = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(8, 3)
@@ -50,8 +52,9 @@ def _hull(points: np.ndarray) -> np.ndarray:
 
 
 def scene_solids(scene: Scene) -> list[Solid]:
-    """All obstacles but points, which are drawn as such, and without what is moved out of the way."""
-    spheres, capsules, boxes, cylinders, triangles = (obstacles for _, obstacles, _ in [*scene.by_kind()][1:])
+    """All obstacles but points and fields, which are drawn as points, and without what is moved out of the way."""
+    solid = [each for each in scene.by_kind() if each[0] not in ("points", "fields")]
+    spheres, capsules, boxes, cylinders, triangles = (obstacles for _, obstacles, _ in solid)
     tops = np.concatenate([np.column_stack([_RING, np.full(len(_RING), z)]) for z in (-1.0, 1.0)])
     sizes = np.column_stack([cylinders.radius, cylinders.radius, cylinders.half])
     kinds = (
@@ -63,18 +66,36 @@ def scene_solids(scene: Scene) -> list[Solid]:
     )
     return [
         Solid(name, np.asarray(corners, float), float(radius))
-        for (each, radii), (*_, owners) in zip(kinds, [*scene.by_kind()][1:], strict=True)
+        for (each, radii), (*_, owners) in zip(kinds, solid, strict=True)
         for corners, radius, name in zip(each, np.broadcast_to(radii, len(each)), _names(scene, owners), strict=True)
         if np.abs(corners).max() <= LIMIT
     ]
 
 
 def scene_points(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """The scene's points (k, 3) [m] and the names (k,) of the objects that they belong to."""
-    _, points, owners = next(scene.by_kind())
-    centres = np.asarray(points.center, float)
+    """The scene's points (k, 3) [m], of each cloud at most `SHOWN`, those of fields at surfaces, and the names (k,) of the
+    objects that they belong to."""
+    kinds = [*scene.by_kind()]
+    points, owners = kinds[0][1:]
+    parts = [(np.asarray(points.center, float), owners)]
+    parts += [(nodes, np.full(len(nodes), owner)) for nodes, owner in zip(_surfaces(kinds[-1][1]), kinds[-1][2], strict=True)]
+    for cloud in scene.clouds:
+        shown = np.asarray(cloud.points[:: max(1, -(-cloud.count // SHOWN))], float)
+        parts.append((shown, np.full(len(shown), scene.owner(cloud.name))))
+    centres, owners = map(np.concatenate, zip(*parts, strict=True))
     here = np.abs(centres).max(axis=1, initial=0.0) <= LIMIT
     return centres[here], _names(scene, owners[here])
+
+
+def _surfaces(fields: Fields) -> Iterator[np.ndarray]:
+    """Yields the nodes (k, 3) of each field that are inside of something, beside one that is not [m, world]."""
+    from scipy.ndimage import binary_erosion
+
+    for frame, half, pitch, values in zip(fields.world_T_field, fields.half, fields.pitch, fields.values, strict=True):
+        counts = np.round(2.0 * half / pitch).astype(int) + 1
+        inside = np.asarray(values[: np.prod(counts)]).reshape(counts) <= 0.0
+        found = np.argwhere(inside & ~binary_erosion(inside))
+        yield _placed(found * pitch - half, frame)
 
 
 def _names(scene: Scene, owners: np.ndarray) -> np.ndarray:

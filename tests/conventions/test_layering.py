@@ -33,6 +33,8 @@ FLOORS = [  # what the house is made of, from the ground up
     "analytic",
     "costs",
     "collision",
+    "fields",
+    "sensing",
     "prepared",
     "fitting",
     "files",

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik import analytic, collision, dynamics, ik, kinematics, motions, reach, spatial, teleoperation, touch
+from jaxik import analytic, collision, dynamics, fields, ik, kinematics, motions, reach, spatial, teleoperation, touch
 from jaxik.spmd import call
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "docs"))
@@ -23,6 +23,7 @@ Q = jnp.linspace(0.1, 0.5, 9)
 POSE = jnp.asarray(jaxik.pose([0.3, 0.2, 0.4]))
 SPHERES = np.array([[0.4, 0.1, 0.3 + 0.1 * k, 0.05] for k in range(9)])
 SCENE = jaxik.make_scene(spheres=[[0.5, 0.1, 0.4, 0.1]], boxes=[[0.5, 0.5, 0.5, 0.1, 0.1, 0.1]])
+FIELD = fields.DistanceField(np.ones((3, 4, 5)), np.eye(4), 0.1)
 MOTION = motions.TipMotion.still(POSE)
 TOUCH = dynamics.PointForce(3, jnp.array([0.1, 0.0, 0.2]), jnp.array([1.0, 2.0, 3.0]))
 V = jnp.array([0.1, 0.2, 0.3])
@@ -35,6 +36,8 @@ CALLS = {  # name -> (function of arrays, arrays)
     "collision.robot_spheres": (lambda q: collision.robot_spheres(ARM, q), Q),
     "collision.motion_clearance": (lambda q: collision.motion_clearance(ARM, SCENE, q, 1.1 * q), Q),
     "collision.clearance_to_spheres": (lambda q: collision.clearance_to_spheres(ARM, SPHERES, q, count=5), Q),
+    "fields.field_bound": (lambda p: fields.field_bound(FIELD, p), V),
+    "fields.field_distance": (lambda p: fields.field_distance(FIELD, p), V),
     "collision.link_clearances": (lambda q: collision.link_clearances(ARM, SCENE, q), Q),
     "collision.object_clearances": (lambda q: collision.object_clearances(ARM, SCENE, q), Q),
     "touch.locate_contact": (lambda q: touch.locate_contact(ARM, q, 0.1 * q, 6, [[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]]), Q),
