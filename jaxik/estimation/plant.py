@@ -173,7 +173,7 @@ def _simulated(
         current[k] = forward[k] + per_error * (desired.q[k] - q[k]) + per_rate * (desired.velocity[k] - qdot[k])
         external[k] = _pushed(mujoco, arm, data, pushes, t[k])
         speed = np.copysign(np.maximum(np.abs(qdot[k]), CREEP), qdot[k])
-        (rubs,) = friction.run(speed[None], given[None], double=True)
+        (rubs,) = friction(speed[None], given[None], double=True)
         arm.dof_frictionloss[:] = np.maximum(-np.sign(speed) * rubs[0], 0.0)
         driven = gain * current[k] + spring
         data.qfrc_applied[:] = driven + external[k]
@@ -207,8 +207,8 @@ def _controller(model: Robot, desired: Motion, options: PlayOptions) -> tuple[np
     def asked(q: Any, qdot: Any, qddot: Any) -> Any:
         return motor_current(model, inverse_dynamics(model, q, qdot, qddot), qdot)
 
-    (forward,) = HostKernel(asked, 3).run(*desired.state, double=True)
-    (inertia,) = HostKernel(lambda q: jnp.diagonal(mass_matrix(model, q)), 1).run(desired.q[:1], double=True)
+    (forward,) = HostKernel(asked, 3)(*desired.state, double=True)
+    (inertia,) = HostKernel(lambda q: jnp.diagonal(mass_matrix(model, q)), 1)(desired.q[:1], double=True)
     stiff = options.frequency**2 * inertia[0] / gain
     return forward, stiff, 2.0 * options.damping / options.frequency * stiff
 

@@ -223,7 +223,7 @@ def _tracked(arm: Arm, begin: Line, end: Line, angles: np.ndarray) -> Ends:
     many = lambda x, shape: np.broadcast_to(x, (rows, *shape))
     lines = [many(x, (2, 3)) for x in (*begin, *end)]
     count = np.int32(angles.shape[-3])
-    return Ends(*line_path_kernel().run(*lines, many(_padded(angles), (MOST_SOLUTIONS, 2, 5)), arm, count, double=True))
+    return Ends(*line_path_kernel()(*lines, many(_padded(angles), (MOST_SOLUTIONS, 2, 5)), arm, count, double=True))
 
 
 # --------------------------------------------------------------------------------------------------------------------

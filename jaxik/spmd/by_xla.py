@@ -18,7 +18,7 @@ from jax import lax
 
 from jaxik.spmd.liveness import Liveness, users_of
 from jaxik.spmd.program import DTYPES, FLOATS, Branch, Load, Loop, Memory, Program, Store, Unsupported, Whole
-from jaxik.spmd.windows import Value, applied, compute, constant, given
+from jaxik.spmd.windows import Value, applied, compute, constant, given, written
 
 TOGETHER = 3000  # operations of one loop over the batch: LLVM's time grows faster than their number
 BLOCK = 4096  # lanes that go through a program together: what they have stays in the caches
@@ -36,15 +36,16 @@ def by_xla(program: Program, operands: Sequence[Any], grid: tuple[int, int]) -> 
     rows = [jnp.broadcast_to(x, (*grid, x.shape[2])).reshape(lanes, -1) for x, each in zip(operands, own, strict=True) if each]
     live = Liveness(program, [not each for each in own], one_row=False)
     users = users_of(program, live)
+    turns = any(program.ops[v].code in ("loop", "branch") for v in live.needed)  # all else is one loop, and goes to no memory
 
     def block(rows: Sequence[Any]) -> list[Any]:
         """The results of some lanes."""
         mine = iter(rows)
-        columns = [next(mine).T if x is None else x for x in shared]
+        columns = [written(next(mine).T) if x is None else x for x in shared]
         return _Lanes(program, live, users, columns, len(rows[0]) if rows else 1).results()
 
     with jax.enable_x64(True):  # the program says how wide each number is
-        many = -(-lanes // BLOCK) if rows else 1
+        many = -(-lanes // BLOCK) if rows and turns else 1
         if many == 1:
             found = block(rows)
         else:
@@ -64,6 +65,7 @@ class _Lanes:
         self.mask: Any = None  # the lanes that take part, where not all do
         self.env: dict[int, Value] = {}
         self.done: set[int] = set()
+        self.turning: list[set[int]] = []  # what is in loops that are being written out, and comes once more
         self.waiting: list[Value] = []
         self.stores: list[tuple[Store, Any, Value]] = []  # that wait for these, with their places
 
@@ -124,16 +126,21 @@ class _Lanes:
         """Does all that waits; what is asked for later is kept."""
         waiting, self.waiting = self.waiting, []
         if waiting:
-            asked = {id(x): x for v, x in self.env.items() if x.array is None and not self.users[v] <= self.done}
+            asked = {id(x): x for v, x in self.env.items() if x.array is None and not self._is_over(v)}
             asked |= {id(x): x for _, _, x in self.stores if x.array is None}
             shared = [x for x in waiting if not x.wide]
             used = {id(a): a for x in waiting if x.wide for a in x.args if not a.wide and a.array is None}
-            compute(shared, [x for k, x in (asked | used).items() if not x.wide], 1)
-            compute([x for x in waiting if x.wide], [x for x in asked.values() if x.wide], self.count)
+            compute(shared, [x for k, x in (asked | used).items() if not x.wide], ())
+            compute([x for x in waiting if x.wide], [x for x in asked.values() if x.wide], (self.count,))
             self.env = {v: x for v, x in self.env.items() if x.array is not None}
         stores, self.stores = self.stores, []
         for memory, group in itertools.groupby(stores, lambda each: each[0].memory):
             self._written(memory, list(group))
+
+    def _is_over(self, v: int) -> bool:
+        """Whether nothing asks for a value any more: nor in another turn of a loop that it stands outside of."""
+        users = self.users[v]
+        return users <= self.done and all(v in inside or users.isdisjoint(inside) for inside in self.turning)
 
     # ----------------------------------------------------------------------------------------------------------------
     # Operations
@@ -228,7 +235,7 @@ class _Lanes:
         other = object.__new__(_Lanes)
         other.__dict__ |= self.__dict__
         other.env, other.memory, other.mask = {**self.env, **env}, dict(memory), mask
-        other.done, other.waiting, other.stores = set(), [], []
+        other.done, other.turning, other.waiting, other.stores = set(), [], [], []
         other.rows = {}
         return other
 
@@ -284,11 +291,14 @@ class _Lanes:
     def _written_out(self, loop: Loop, params: list[int], results: list[int], now: list[Value]) -> list[Value]:
         """A short loop's turns, one after the other."""
         inside = {*self._all([loop.body]), *params, *loop.turn}
-        for turn in range(loop.turns or 0):
+        last = (loop.turns or 0) - 1
+        for turn in range(last + 1):
+            self.turning.append(inside if turn < last else set())
             self.env = {v: x for v, x in self.env.items() if v not in inside} | dict(zip(params, now, strict=True))
             self.env |= {v: constant(self.program.ops[v].type, turn) for v in loop.turn}
             self.done -= inside
             self._operations(loop.body)
+            self.turning.pop()
             now = [self._value(r) for r in results]
         return now
 

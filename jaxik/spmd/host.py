@@ -50,12 +50,21 @@ class HostKernel:
     def __reduce__(self) -> Any:
         return HostKernel, (self.function, self.lanes)  # another process makes its own
 
-    def __call__(self, *args: Any) -> list[np.ndarray]:
-        """The results' leaves, each (b, ...), by a kernel, or by XLA where there is none, in the width that JAX is set to here.
-        Raises `ValueError` if the arguments do not have as many rows as each other."""
+    def __call__(self, *args: Any, double: bool | None = None) -> list[np.ndarray]:
+        """The results' leaves, each (b, ...), by a kernel, or by XLA where there is none, in the width that `double` says, or
+        else that JAX is set to here. Raises `ValueError` if the arguments do not have as many rows as each other."""
         try:
-            return self.run(*args)
+            return self.run(*args, double=double)
         except Unsupported:
+            pass
+        if double is None:
+            return self._now_by_xla(*args)
+        width = np.dtype(np.float64 if double else np.float32)
+        with jax.enable_x64(double):
+            return self._now_by_xla(*jax.tree_util.tree_map(lambda x: as_operand(x, width), args))
+
+    def _now_by_xla(self, *args: Any) -> list[np.ndarray]:
+        with jax.ensure_compile_time_eval():  # also where what calls is being traced: a robot's closed forms are found then
             return [np.asarray(x) for x in jax.tree_util.tree_leaves(self.by_xla(*args))]
 
     def run(

@@ -1,21 +1,21 @@
 """Rows of operations as one loop of XLA's over the batch, which has each of them once.
 
 XLA's CPU backend gives each result of a row of operations a loop of its own, and computes in it again whatever several results
-share. But the function that a `reduce_window` joins numbers by is compiled once, as it stands, and may have many arguments and
-results. So operations on single numbers wait as `Value`s, and `compute` makes all of them such a function, over windows of one.
+share. Only a `reduce` of several arrays is one loop with many results: XLA fuses into it all that its arrays are made of,
+what is read from memory included. So operations on single numbers wait as `Value`s, and `compute` makes all of them such a
+`reduce`.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxik.spmd.program import DTYPES, FLOATS, TYPES, Unsupported
+from jaxik.spmd.program import DTYPES, FLOATS, Unsupported
 
 _NEAREST, _AWAY = lax.RoundingMethod.TO_NEAREST_EVEN, lax.RoundingMethod.AWAY_FROM_ZERO
 _OPERATIONS: dict[str, Callable[..., Any]] = {
@@ -28,6 +28,9 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     **{"libm_sin": lax.sin, "libm_cos": lax.cos, "libm_tan": lax.tan, "libm_pow": lax.pow},
 }
 _TYPED: dict[str, Callable[..., Any]] = {"convert": lax.convert_element_type, "bitcast": lax.bitcast_convert_type}
+_DEAR = ("fdiv", "frem", "sqrt", "libm_sin", "libm_cos", "libm_tan", "libm_pow")  # what XLA does not fuse with several others
+_ONE = {kind: DTYPES[kind].type(1) for kind in FLOATS}
+RESULTS = 96  # of one loop: LLVM makes no vectors of one that writes to some 200 arrays
 
 
 class Value:
@@ -54,63 +57,60 @@ def applied(code: str, kind: str, args: Sequence[Any]) -> Any:
     return _OPERATIONS[code](*args)
 
 
-class _Slot(NamedTuple):
-    """One of the arguments and results of a window, all of one type, each of which may be missing: a number that all lanes have
-    in common, one of each lane, and what becomes of them."""
-
-    common: Value | None
-    own: Value | None
-    gives: Value | None
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        return DTYPES[next(x.kind for x in self if x is not None)]
+def compute(waiting: Sequence[Value], kept: Sequence[Value], shape: tuple[int, ...]) -> None:
+    """Gives the values that are `kept` their arrays, of a shape: (lanes,), or () where all lanes have them in common; `waiting`
+    are all that they may be made of, in order."""
+    for some in (kept[k : k + RESULTS] for k in range(0, len(kept), RESULTS)):
+        _compute(waiting, some, shape)
 
 
-def compute(waiting: Sequence[Value], kept: Sequence[Value], lanes: int) -> None:
-    """Gives the values that are `kept` their arrays, of so many lanes; `waiting` are all that they may be made of, in order."""
-    if not kept:
-        return
+def _compute(waiting: Sequence[Value], kept: Sequence[Value], shape: tuple[int, ...]) -> None:
     needed = _needed(kept)
     chain = [x for x in waiting if id(x) in needed]
     inputs = {id(a): a for x in chain for a in x.args if a.code != "const" and id(a) not in needed}
-    slots = _slots(list(inputs.values()), kept)
-
-    def together(common: Sequence[Any], own: Sequence[Any]) -> list[Any]:
-        """The numbers of one lane. A window's first argument is what its numbers are joined to, here what lanes share."""
-        found = {id(slot.common): x for slot, x in zip(slots, common, strict=True)}
-        found |= {id(slot.own): x for slot, x in zip(slots, own, strict=True)}
-        of = lambda a: a.array if a.code == "const" else found[id(a)]
-        for x in chain:
-            args = list(map(of, x.args))
-            if _by_constant(x) and any(map(_by_constant, x.args)):
-                args = lax.optimization_barrier(args)
-            found[id(x)] = applied(x.code, x.kind, args)
-        return [found[id(slot.gives)] if slot.gives else np.zeros((), slot.dtype) for slot in slots]
-
-    rows = {x.kind: x.array for x in inputs.values() if x.wide}  # where none is asked for, one that is there
-    row = lambda slot: slot.own.array if slot.own else rows.get(TYPES[slot.dtype], jnp.zeros(lanes, slot.dtype))
-    common = [slot.common.array if slot.common else np.zeros((), slot.dtype) for slot in slots]
-    found = lax.reduce_window(tuple(map(row, slots)), tuple(common), lambda *x: tuple(together(*x)), (1,), (1,), "VALID")
-    for slot, x in zip(slots, found, strict=True):
-        if slot.gives is not None:
-            slot.gives.array = x if slot.gives.wide else x[0]
+    one, arrays = lax.optimization_barrier((_ONE, [_twice(a.array, shape) for a in inputs.values()]))
+    found = dict(zip(inputs, arrays, strict=True))
+    for x in chain:
+        args = [_twice(a.array, shape) if a.code == "const" else found[id(a)] for a in x.args]
+        if _divides_by_extreme(x) or (_by_constant(x) and any(map(_by_constant, x.args))):
+            args = lax.optimization_barrier(args)
+        found[id(x)] = applied(x.code, x.kind, args)
+        if x.code in _DEAR and x.kind in FLOATS:
+            found[id(x)] *= _twice(one[x.kind], shape)
+    for x, array in zip(kept, _together([found[id(x)] for x in kept]), strict=True):
+        x.array = array
 
 
-def _slots(inputs: Sequence[Value], outputs: Sequence[Value]) -> list[_Slot]:
-    """The slots of a window; two at least, as XLA takes a window of one number for nothing at all."""
-    slots: list[_Slot] = []
-    for kind in dict.fromkeys(x.kind for x in (*inputs, *outputs)):
-        alike = lambda values, kind=kind: [x for x in values if x.kind == kind]
-        columns = [x for x in inputs if not x.wide], [x for x in inputs if x.wide], outputs
-        slots += itertools.starmap(_Slot, itertools.zip_longest(*map(alike, columns)))
-    return slots if len(slots) > 1 else slots * 2
+def written(array: Any) -> Any:
+    """An array as it is, written to memory: what reads it in several places is not to find it out anew each time."""
+    return _together([_twice(array, array.shape)])[0]
+
+
+def _twice(array: Any, shape: tuple[int, ...]) -> Any:
+    """Two equal rows: of one, XLA would not make a reduction."""
+    return jnp.broadcast_to(array, (2, *shape))
+
+
+def _together(arrays: Sequence[Any]) -> list[Any]:
+    """The second rows of arrays of two equal rows, which XLA computes in one loop. Two arrays at least, since a reduction of
+    one alone may be computed again by whoever asks for it."""
+    many = list(arrays) if len(arrays) > 1 else [*arrays, *arrays]
+    zeros = [np.zeros((), x.dtype) for x in many]
+    return lax.reduce(tuple(many), tuple(zeros), lambda before, x: x, (0,))[: len(arrays)]
 
 
 def _by_constant(x: Value) -> bool:
     """Whether it is a float and a constant, added or multiplied: of two of these in a row XLA makes one, and so 0 of what
     (1 + x) - 1 - x is to say."""
     return x.code in ("add", "sub", "mul") and x.kind in FLOATS and any(a.code == "const" for a in x.args)
+
+
+def _divides_by_extreme(x: Value) -> bool:
+    """Whether it divides by a constant whose inverse, with which XLA multiplies instead, is 0 or infinite."""
+    if x.code != "fdiv" or x.args[1].code != "const":
+        return False
+    size, tiny = abs(float(x.args[1].array)), float(np.finfo(DTYPES[x.kind]).tiny)  # type: ignore[type-var]
+    return size < 2.0 * tiny or size * tiny > 0.5
 
 
 def _needed(kept: Sequence[Value]) -> set[int]:

@@ -203,6 +203,7 @@ HOSTS = {  # what runs without XLA, of poses and slides
 }
 
 
+@pytest.mark.kernels(reason="`run` never goes to XLA, and the same bits are a promise of kernels alone")
 @pytest.mark.parametrize("double", [False, True])
 @pytest.mark.parametrize("name", HOSTS)
 def test_same_bits_on_the_host(name, double):

@@ -1,5 +1,6 @@
 """Programs by XLA on a CPU, where there is no kernel: beside NumPy, and beside XLA of what was written."""
 
+import functools
 import sys
 
 import jax
@@ -75,6 +76,42 @@ def test_a_scan_reads_rows_and_stacks_others(turns):
         rows.append(now)
         now = 0.9 * now + X @ row
     close((last, stacked), (now, np.stack(rows, 1)))
+
+
+def test_what_stands_outside_of_a_written_out_loop_is_there_in_each_turn(monkeypatch):
+    """Wherever in a turn it is that all that waits is done, since it has become too much."""
+
+    def outside(a, b):
+        return functools.reduce(lambda x, _: x * a + b, range(20), a)
+
+    def function(x):
+        each = outside(x[0], x[1])
+        return lax.fori_loop(0, 12, lambda k, c: ((c * each + x[1]) * x[2] - x[0]) * x[3], x[3])
+
+    a, b, c, d = 0.5 * X.T
+    expected = d
+    for _ in range(12):
+        expected = ((expected * outside(a, b) + b) * c - a) * d
+    for together in range(62, 67):
+        monkeypatch.setattr(lanes_by_xla, "TOGETHER", together)
+        jax.clear_caches()
+        close(over(function, 0.5 * X), expected)
+
+
+def test_many_results_take_several_loops():
+    """As many as one loop of vectors can write, each."""
+    found = over(lambda x: (jnp.outer(jnp.sin(x), jnp.arange(60.0)), jnp.cumsum(x)), X)
+    close(found, (np.sin(X)[:, :, None] * np.arange(60.0), np.cumsum(X, 1)))
+
+
+def test_a_division_by_what_has_no_normal_inverse():
+    """XLA multiplies by the inverse of a constant, which is 0 here."""
+    big, tiny = np.finfo(np.float32).max, np.finfo(np.float32).tiny
+    rows = np.array([big, 1.0, tiny], np.float32)
+    by_big, by_tiny = over(lambda x: (x / big, x / tiny), rows)
+    np.testing.assert_array_equal(by_big, [1.0, 0.0, 0.0])  # numbers below the normal range count as 0
+    with np.errstate(over="ignore"):
+        np.testing.assert_array_equal(by_tiny, rows / tiny)
 
 
 def test_each_lane_leaves_its_loop_by_itself():
@@ -169,7 +206,7 @@ def test_derivatives():
 def test_an_exported_program_calls_nothing_that_another_process_lacks():
     function = spmd.kernel(lambda x: jnp.cumsum(jnp.sin(x)))
     exported = jax.export.export(jax.jit(jax.vmap(function)))(jax.ShapeDtypeStruct(X.shape, X.dtype))
-    assert "reduce_window" in exported.mlir_module() and "custom_call" not in exported.mlir_module()
+    assert "stablehlo.reduce" in exported.mlir_module() and "custom_call" not in exported.mlir_module()
     close(exported.call(X), np.cumsum(np.sin(X), 1))
 
 
@@ -178,6 +215,10 @@ def test_a_host_kernel_by_xla():
     total, turned = kernel(X, np.float64(2.0))
     close((total, turned), (X.sum(1) + 2.0, X[:, ::-1]))
     assert kernel(X[:0], np.float64(2.0))[1].shape == (0, 4)
+    (narrow, _), (wide, _) = (kernel(X, np.float64(2.0), double=double) for double in (False, True))
+    assert (narrow.dtype, wide.dtype) == (np.float32, np.float64)
+    close(wide, total)
+    close(jax.jit(lambda x: x * kernel(X, np.float64(2.0), double=True)[0])(1.0), total)  # while another is traced
 
 
 def test_what_has_no_program_goes_as_it_is_written(monkeypatch):
