@@ -67,7 +67,7 @@ class CloudSearch:
 
 
 def _nearer_half(least: Vec3, most: Vec3, low: Vec3, high: Vec3) -> Any:
-    """Which half of a box is nearer to what is between `low` and `high`, most likely: in the order of a cloud halves lie side
+    """The half of a box that is most likely nearer to what is between `low` and `high`: in the order of a cloud halves lie side
     by side along the longest edge."""
     longest, second = most.x - least.x, low.x[0] + high.x[0] > least.x + most.x
     for a, b, first, last in zip(least[1:], most[1:], low[1:], high[1:], strict=True):

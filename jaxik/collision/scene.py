@@ -171,7 +171,7 @@ class Scene(Constant):
         the first `count` alone are taken. A cloud has room for as many points as `capacity` says, or else for its own and for
         those that it replaces, up to the next power of two: programs that were compiled for as much room serve other clouds.
         A million have their place. Points may be 100 km away, further than other obstacles, and distances are exact to
-        rounding. Of a traced cloud those beyond that are left out.
+        rounding. A traced cloud leaves out those beyond that.
 
         Raises `ValueError`, and leaves this scene as it is, for what is no array (n, 3) of floats, more points than the
         capacity or 2^20, points that are too far away, a count or capacity that is none, a radius that is below 0 or not

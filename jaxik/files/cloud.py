@@ -21,7 +21,7 @@ def load_cloud(path: str | Path) -> np.ndarray:
     """The points (n, 3) of a file [m], `.ply`, `.xyz`, `.pcd`, `.npy` or `.npz`, for `Scene.with_cloud`. Host.
 
     Points that are not finite stay: `with_cloud` leaves them out. What else a file has of each point, as colours, is not read.
-    Of an NPZ with several arrays it is `points`; PCD needs pypcd4, `pip install "jaxik[pcd]"`.
+    An NPZ with several arrays gives `points`; PCD needs pypcd4, `pip install "jaxik[pcd]"`.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, what is wrong, what is allowed, the mend.
     """
