@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from tables.changes import changes_markdown
 from tables.collision import (
     collision_markdown,
     mesh_markdown,
@@ -84,6 +85,7 @@ TABLES = {
     "ik_benchmark.json": ik_markdown,
     "jerk_benchmark.json": jerk_markdown,
     "loop_benchmark.json": loops_markdown,
+    "change_benchmark.json": changes_markdown,
     "mesh_benchmark.json": mesh_markdown,
     "motions.json": motions_markdown,
     "narrow_goals.json": narrow_markdown,

@@ -34,7 +34,8 @@ class Prepared(Handle):
         self._robot: Any = next(iter(robots), None)
         fixed = tuple(None if k in scenes else each for k, each in enumerate(models))
         super().__init__(who, functools.partial(_with_scenes, function, fixed, tuple(scenes)), double)
-        self._around = [grouped_in(models[k], robots[0]) for k in scenes]
+        around = [grouped_in(models[k], robots[0]) for k in scenes]
+        self._around = [grouped_in(models[k], robots[0], forms_of(each)) for k, each in zip(scenes, around, strict=True)]
 
     def __reduce__(self) -> Any:
         return _again, (self.function.args[0], self.models, self.double)  # type: ignore[attr-defined]

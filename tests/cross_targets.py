@@ -32,6 +32,16 @@ def main() -> None:
     import demo_files
 
     demo_files.write(folder / "demo")
+    check_sizes(jaxik.load("panda"))
+
+
+def check_sizes(robot) -> None:
+    """Inverse kinematics of seven joints is small on every processor."""
+    for target in ("x86-64", "x86-64-v3", "x86-64-v4", "aarch64"):
+        made = robot_function(robot, "ik", prefix="robot", scene=None, target=target, double=True, rows=1)
+        size = len(made.function.image)
+        print(f"inverse kinematics for {target}: {size:,} bytes")
+        assert size < 300_000, target
 
 
 if __name__ == "__main__":

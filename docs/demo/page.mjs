@@ -1,5 +1,6 @@
 // The arm on the page "Out of Python": a target to move, inverse kinematics and link frames in WebAssembly.
 const place = document.getElementById("arm-demo");
+const REASONS = { 1: "out of reach", 3: "there the arm would touch itself", 4: "no posture was found" };
 const SLIDERS = { x: [-0.8, 0.8, 0.4], y: [-0.8, 0.8, 0.2], z: [0, 0.9, 0.4] };
 
 async function begin() {
@@ -13,7 +14,9 @@ async function begin() {
     const slider = Object.assign(document.createElement("input"), { type: "range", min, max, step: 0.005 });
     slider.value = values[name] = value;
     slider.addEventListener("input", () => ((values[name] = Number(slider.value)), show()));
-    label.appendChild(slider);
+    const number = Object.assign(document.createElement("output"), { textContent: ` ${value.toFixed(3)} m ` });
+    slider.addEventListener("input", () => (number.textContent = ` ${values[name].toFixed(3)} m `));
+    label.append(slider, number);
   }
   let posture = new Float64Array(6);
   function show() {
@@ -21,18 +24,27 @@ async function begin() {
     const start = performance.now();
     const found = arm.arm_ik({ pose: [1, 0, 0, x, 0, -1, 0, y, 0, 0, -1, z, 0, 0, 0, 1] });
     const spent = 1e3 * (performance.now() - start);
-    if (found.reason[0] === 0) posture = found.q;
-    told.textContent = found.reason[0] === 0 ? `q = ${[...posture].map((a) => a.toFixed(3)).join(", ")} rad; ${spent.toFixed(0)} us` : "out of reach";
+    const solved = found.reason[0] === 0;
+    if (solved) posture = found.q;
+    place.dataset.posture = solved ? [...posture].join(" ") : "";
+    told.textContent = solved
+      ? `q = ${[...posture].map((a) => a.toFixed(3)).join(", ")} rad; ${spent.toFixed(0)} us`
+      : `${REASONS[found.reason[0]]}; ${spent.toFixed(0)} us`;
     draw(canvas.getContext("2d"), arm.arm_frames({ q: posture }).frames, [x, y, z]);
   }
   show();
 }
 
-// From the front and from above: the places of the frames, and the target.
+const VIEWS = [["from the front", 1, 2], ["from above", 1, 0]]; // the axes that go across and up
+
+// The places of the frames, and the target.
 function draw(to, frames, target) {
   const { width, height } = to.canvas;
   to.clearRect(0, 0, width, height);
-  for (const [view, across, up] of [[0, 1, 2], [1, 1, 0]]) {
+  to.font = "14px sans-serif";
+  for (const [view, [words, across, up]] of VIEWS.entries()) {
+    to.fillStyle = getComputedStyle(to.canvas).color;
+    to.fillText(words, width * (0.02 + 0.5 * view), 18);
     const at = (p) => [width * (0.25 + 0.5 * view) + 140 * p[across], height * (view ? 0.5 : 0.85) - 140 * p[up]];
     to.beginPath();
     for (let k = 0; k < frames.length; k += 16) to.lineTo(...at([frames[k + 3], frames[k + 7], frames[k + 11]]));

@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar
 
 import tyro
 
+import jaxik
 from jaxik.options import Options, fields
 
 IGNORED = "What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail)."
@@ -96,8 +97,20 @@ class SearchArguments(ShapedRobotArguments):
 
     scene: str | None = None
     """A shipped scene or a scene file: obstacles to keep clear of; without one, the robot keeps clear of itself."""
+    cloud: Path | None = None
+    """Points to keep clear of, too (.ply, .xyz, .pcd, .npy, .npz), in metres in the scene's frame; an object called cloud."""
+    cloud_radius: float = 0.005
+    """The radius of a ball around each of them [m]."""
     seed: int = 0
     """Another number, another (deterministic) search."""
+
+    def around(self) -> jaxik.Scene | None:
+        """The scene with the cloud; None where neither is given."""
+        scene = None if self.scene is None else jaxik.load_scene(self.scene)
+        if self.cloud is None:
+            return scene
+        points = jaxik.files.load_cloud(self.cloud)
+        return (scene or jaxik.make_scene()).with_cloud(points, self.cloud_radius)
 
 
 def read_posture(words: Sequence[str], flag: str = "--posture") -> dict[str, float] | None:

@@ -58,7 +58,7 @@ class BaseArguments(FLAGS, SearchArguments):
         if self.plot is not None:
             check_writable(self.plot, "--plot", (".png",))
         robot = jaxik.load(self.robot, **self.loading())
-        scene = None if self.scene is None else jaxik.load_scene(self.scene)
+        scene = self.around()
         targets = jaxik.load_targets(self.targets)
         if self.task and self.free:
             raise ValueError("--task says what --free does; write --task 'pose free yaw'")

@@ -77,7 +77,7 @@ class IKArguments(FLAGS, SearchArguments):
             optional("--out: .parquet", "pyarrow", "parquet")  # before the work, not after
         check_seed("solve_ik", self.seed)
         robot = jaxik.load(self.robot, **self.loading())
-        scene = None if self.scene is None else jaxik.load_scene(self.scene)
+        scene = self.around()
         task, tips = self._task(robot)
         targets = jaxik.load_targets(self.targets, tips=tips)
         if task is None:  # a position says nothing of rotation

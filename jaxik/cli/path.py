@@ -63,7 +63,7 @@ class PathArguments(FLAGS, SearchArguments):
         if self.picture is not None:
             check_writable(self.picture, "--picture", (".png", ".svg", ".pdf"))
         robot = jaxik.load(self.robot, **self.loading())
-        scene = jaxik.make_scene() if self.scene is None else jaxik.load_scene(self.scene)
+        scene = self.around() or jaxik.make_scene()
         options = PathOptions(**given(self, PathOptions) | {"task": self._task()})
         poses = jaxik.load_targets(self.path)
         began = time.perf_counter()

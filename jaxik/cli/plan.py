@@ -62,10 +62,10 @@ class PlanArguments(FLAGS, SearchArguments):
         check_writable(self.out, endings=ENDINGS)
         if self.poses is not None:
             check_writable(self.poses, "--poses", (".csv",))
-        if self.without and self.scene is None:
+        if self.without and self.scene is None and self.cloud is None:
             raise ValueError(f"--without {' '.join(self.without)}: there is no scene to leave it out of; give --scene")
         robot = jaxik.load(self.robot, **self.loading())
-        scene = jaxik.make_scene() if self.scene is None else jaxik.load_scene(self.scene).without(self.without)
+        scene = (self.around() or jaxik.make_scene()).without(self.without)
         for name in ("start", "goal"):
             if not np.isfinite(getattr(self, name)).all():
                 raise ValueError(f"--{name} {' '.join(map(str, getattr(self, name)))}: finite numbers [rad, m]")

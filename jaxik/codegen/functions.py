@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
@@ -12,6 +11,7 @@ import jax
 import numpy as np
 
 from jaxik.codegen.entries import entries
+from jaxik.codegen.names import check_name, check_word
 from jaxik.codegen.refusals import refused
 from jaxik.codegen.targets import library_calls, target
 from jaxik.spmd import machine
@@ -23,16 +23,6 @@ from jaxik.spmd.trace import trace
 _C_TYPES = {"float": "float", "double": "double", "i1": "uint8_t"}
 _C_TYPES |= {f"{sign}{bits}": f"{'u' * (sign == 'u')}int{bits}_t" for sign in "iu" for bits in (8, 16, 32, 64)}
 _NARROW = {np.dtype(np.int64): np.dtype(np.int32), np.dtype(np.uint64): np.dtype(np.uint32)}
-_WORDS = """
-alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t char16_t char32_t class co_await
-co_return co_yield compl concept const const_cast consteval constexpr constinit continue decltype default delete do double
-dynamic_cast else enum explicit export extern false float for friend goto if inline int long mutable namespace new noexcept
-not not_eq nullptr operator or or_eq private protected public register reinterpret_cast requires restrict return short signed
-sizeof static static_assert static_cast struct switch template this thread_local throw true try typedef typeid typename typeof
-typeof_unqual union unsigned using virtual void volatile wchar_t while xor xor_eq
-NULL size_t ptrdiff_t int8_t int16_t int32_t int64_t uint8_t uint16_t uint32_t uint64_t count workspace main
-"""
-_RESERVED = _WORDS.split()  # in C, in C++, in the headers that are included, and in what is written here
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,7 +103,8 @@ def function_of(
     if twice:
         raise ValueError(f"export: {name}: two arguments or results are called {twice[0]!r}; name the results by results=")
     for each in (*arguments, *outputs):
-        check_name(each.name)
+        check_word(each.name)
+    _check_words(name, words, (*arguments, *outputs))
     with refused(name):
         made = entries(name, program, [f.row for f in arguments], [f.row for f in outputs], wanted)
     image = machine.compiled(made.text, target=wanted, thorough=True)
@@ -121,10 +112,11 @@ def function_of(
     return Function(name, words.get("", ""), arguments, outputs, target_name, made.workspace, calls, image)
 
 
-def check_name(name: str) -> None:
-    """Raises `ValueError` for what is no name in C and C++, or has a meaning there."""
-    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or name in _RESERVED:
-        raise ValueError(f"export: {name!r} is no name that C has free; write letters, digits and _, such as panda_pose")
+def _check_words(name: str, words: Mapping[str, str], fields: Sequence[Field]) -> None:
+    known = [name, *(f.name for f in fields)]
+    for each in words:
+        if each not in known:
+            raise ValueError(f"export: {name}: words tell of {each!r}, which there is not; choose of {', '.join(known)}")
 
 
 def _arguments(

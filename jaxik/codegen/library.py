@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxik.codegen.archive import Member, archive
-from jaxik.codegen.functions import Function, check_name, function_of
+from jaxik.codegen.functions import Function, function_of
 from jaxik.codegen.header import header
+from jaxik.codegen.names import check_name
 from jaxik.codegen.python_loader import linked, loader
 from jaxik.codegen.webassembly import javascript, module
 
@@ -60,13 +61,15 @@ def export(
     the bits of `jaxik.kernel` on the same processor.
 
     Raises `ValueError`, in one line, for what a kernel cannot do, with the operation and its place in the source; for an
-    unknown target, a signature that does not fit and names that C has not free; and where a linker is missing.
+    unknown target, a signature that does not fit, names that C has not free, words of what is not there, and a path that is a
+    file; and where a linker is missing.
     """
     name = name or getattr(function, "__name__", "").strip("<>") or "function"
+    folder = folder_at(name, path)
     made = function_of(
         function, signature, name=name, target_name=target, double=double, results=results, words=words, shared=shared
     )
-    return write_library(name, [made], Path(path), python=python)
+    return write_library(name, [made], folder, python=python)
 
 
 def write_library(
@@ -88,3 +91,12 @@ def write_library(
     for file, content in files.items():
         (folder / file).write_bytes(content)
     return Exported(name, tuple(functions), tuple(folder / file for file in files))
+
+
+def folder_at(name: str, path: str | Path) -> Path:
+    """The folder, which need not be there yet. Raises `ValueError` where it, or one that it is to lie in, is a file. Host."""
+    folder = Path(path)
+    file = next((each for each in (folder, *folder.parents) if each.exists() and not each.is_dir()), None)
+    if file is not None:
+        raise ValueError(f"export: {name}: {file} is a file; give the path of a folder, which is made where there is none")
+    return folder

@@ -11,7 +11,7 @@ from typing import Any
 
 from jaxik.spmd.arithmetic import LIBRARY, Expression, instruction
 from jaxik.spmd.emit import Emitter
-from jaxik.spmd.program import Load, Op, Program
+from jaxik.spmd.program import COMMUTE, Load, Op, Program
 
 FEWEST, MOST = 4, 16  # numbers of a row that are worth a vector, and that one takes
 WORTH = 8  # operations on such a vector, below which taking it apart costs more than it saves
@@ -103,4 +103,8 @@ def _what(program: Program, op: Op, kinds: dict[int, Any]) -> Any:
     if op.code in _APART or op.code.startswith((LIBRARY, "team")):
         return None
     known = [("constant", a) if a in program.constant else ("of a row", kinds.get(a)) for a in op.args]
-    return None if ("of a row", None) in known else (op.code, op.type, *known)
+    if ("of a row", None) in known:
+        return None
+    if op.code in COMMUTE:  # in the order of their numbers, which differs where a constant was first asked for
+        known.sort()
+    return op.code, op.type, *known

@@ -8,7 +8,8 @@ from pathlib import Path
 from jaxik.codegen.c_files import cmake_lists, example, test
 from jaxik.codegen.functions import Function
 from jaxik.codegen.header import LICENCE
-from jaxik.codegen.library import Exported, write_library
+from jaxik.codegen.library import Exported, folder_at, write_library
+from jaxik.codegen.names import check_name
 from jaxik.codegen.robot_functions import robot_function
 from jaxik.codegen.robot_header import robot_header
 from jaxik.codegen.targets import WORDS, target
@@ -17,6 +18,7 @@ from jaxik.kinematics import Robot
 from jaxik.version import __version__
 
 ROWS = 37  # of a sample: whole vectors of any processor, and some that are left
+FOLDED = 2**16  # points of a cloud that are folded in: some 1.5 MB of machine code
 
 
 def export_robot(
@@ -39,13 +41,21 @@ def export_robot(
 
     Raises `ValueError` for other functions and targets, and for a robot that lacks what a function needs.
     """
+    for cloud in scene.clouds if scene is not None else ():
+        if cloud.room > FOLDED:
+            mend = "thin them, or export clearance_to_spheres, which takes them in the call"
+            raise ValueError(
+                f"export: cloud '{cloud.name}' of {cloud.count:,} points; at most {FOLDED:,} are folded in; {mend}"
+            )
     name = name or "".join(c if c.isalnum() else "_" for c in robot.name.lower())
+    check_name(name)
     target(target_name)
+    folder = folder_at(name, path)
     samples = [
         robot_function(robot, each, prefix=name, scene=scene, target=target_name, double=double, rows=ROWS)
         for each in dict.fromkeys(functions)
     ]
-    made, folder = [each.function for each in samples], Path(path)
+    made = [each.function for each in samples]
     words = f"Functions of the robot {robot.name} ({robot.num_joints} joints: {', '.join(robot.joint_names)})."
     written = write_library(name, made, folder, words=words, python=python, apart=False)
     files = {"README.md": _readme(name, robot, made, scene, python), f"{name}_robot.h": robot_header(name, robot)}

@@ -19,7 +19,6 @@ from jaxik.dynamics import bias_torque, forward_dynamics, gravity_torque, invers
 from jaxik.ik.whole_search import ik_search
 from jaxik.kinematics import Robot, forward_kinematics, jacobian, manipulability
 from jaxik.kinematics.robot import need_bodies
-from jaxik.reasons import Reason
 from jaxik.spmd import kernel
 
 SPHERES = 4096  # that a scene of run time has at most; memory is read as far as there are any
@@ -96,8 +95,8 @@ _JACOBIAN = {"jacobian": "linear rows, then angular, in base axes at the tip's o
 _TORQUE = {"torque": "torques of the drives [Nm, N]"}
 _CLEARANCE = {"clearance": "the smallest signed distance [m]; below 0 there is contact"}
 _ANSWER = {
-    "q": "joint positions [rad, m]: the answer, or the nearest miss",
-    "reason": f"{int(Reason.SOLVED)}: solved; {int(Reason.NOT_CONVERGED)}: no answer; {int(Reason.INVALID)}: the pose is none",
+    "q": "joint positions [rad, m]: the answer, the freest posture that collides, or the nearest miss; NaN with 1 and 5",
+    "reason": "0: solved; 1: proven out of reach; 3: what was found collides; 4: nothing was found; 5: the pose is none",
     "position_error": "how far the tip is from the pose [m]",
     "rotation_error": "how far it is turned [rad]",
     "clearance": "the smallest signed distance [m], NaN where none is looked at",

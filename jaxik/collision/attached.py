@@ -92,6 +92,10 @@ def _carried(scene: Scene, name: str, joint_T_world: np.ndarray, link: int) -> I
     index = scene.object_names.index(name)
     if index in scene.owners[KINDS.index("fields")]:
         raise ValueError(f"attach: '{shown(name)}' is a distance field, which no arm carries; put boxes in its place")
+    if any(cloud.name == name for cloud in scene.clouds):
+        raise ValueError(
+            f"attach: '{shown(name)}' is a cloud of points, which no arm carries; put spheres or boxes in its place"
+        )
     placed = lambda points, a_T_b=joint_T_world: points @ a_T_b[:3, :3].T + a_T_b[:3, 3]
     for kind, obstacles, owners in scene.by_kind():
         fields = {at: np.asarray(getattr(obstacles, at), np.float64) for at in SHAPES[kind]}

@@ -18,10 +18,13 @@ import numpy as np
 from jax import lax
 
 from jaxik.checks.arrays import is_known
+from jaxik.collision.ball_trees import FAN, balls_around, balls_of, by_place, joined
+from jaxik.collision.cloud import LEAF as CLOUD_LEAF
+from jaxik.collision.cloud import Cloud, nothing
 from jaxik.collision.leaf_rows import SLACK, Balls
 from jaxik.collision.own_shape import CLOSE, Own, once, own_shapes, shape_of, told_below
-from jaxik.collision.scene import FAR, NODES, SHAPES, SIZES_OF, Scene, check_scene, remembered, with_zeros
-from jaxik.collision.surface_trees import across
+from jaxik.collision.refit import Groups
+from jaxik.collision.scene import FAR, NODES, SHAPES, SIZES_OF, SOLID, Scene, check_scene, remembered, with_zeros
 from jaxik.collision.volumes import local_volumes
 from jaxik.kinematics.link_distance_table import PairTable
 from jaxik.kinematics.robot import Robot, geometry_between, solid_links
@@ -29,7 +32,7 @@ from jaxik.pytree import static
 
 # obstacles a leaf, where there are a few
 LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1, "triangles": 1, "fields": 1}
-FAN = 4  # leaves a branch, at least
+CLOUD = "cloud"  # begins the kind of each cloud
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
 
 
@@ -50,12 +53,15 @@ class Obstacles:
     """Obstacles of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`,
     not counted, and is one of the `count` that are there if b is less; `ignored[b]` are the `bits` of links that it does not
     count for, of a robot that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is. `bodies`: None where there
-    are no solids of triangles."""
+    are no solids of triangles.
+
+    A cloud is a kind of its own, `CLOUD` and a number. It is branch `first[0]`, and has no balls around leaves and branches,
+    which are None, but a tree of `boxes`."""
 
     kind: str = static()
     rows: dict[str, Any]
-    leaves: Balls
-    branches: Balls
+    leaves: Any
+    branches: Any
     first: Any
     last: Any
     ignored: Any
@@ -63,10 +69,13 @@ class Obstacles:
     unsound: Any
     bodies: Bodies | None
     ignores: tuple[tuple[int, str], ...] = static()
+    boxes: Any = None
 
     @property
     def form(self) -> Form:
         """The form of these."""
+        if self.leaves is None:
+            return Form(CLOUD_LEAF, len(self.boxes) // 2, False)
         room = len(self.leaves.radius)
         return Form(len(next(iter(self.rows.values()))) // room if room else 1, room, self.bodies is not None)
 
@@ -103,8 +112,7 @@ def grouped(scene: Scene | Grouped | None, robot: Robot, by_object: bool = False
         check_scene(scene)
         return _grouped(scene, robot.ignored, by_object) + own_shapes(robot)
     remembered(scene, "checked", lambda: check_scene(scene))
-    found = remembered(scene, (robot.ignored, by_object), lambda: _grouped(scene, robot.ignored, by_object))
-    return found + own_shapes(robot)
+    return _kept(scene, robot.ignored, by_object) + own_shapes(robot)
 
 
 def grouped_alike(scenes: Sequence[Scene], robot: Robot) -> list[tuple[Obstacles, ...]]:
@@ -116,24 +124,32 @@ def grouped_alike(scenes: Sequence[Scene], robot: Robot) -> list[tuple[Obstacles
         form, other = obstacles.form, forms.get(obstacles.kind, obstacles.form)
         most = max(form.size, other.size), max(form.room, other.room)
         forms[obstacles.kind] = Form(*most, form.solid or other.solid)
-    alike = tuple((kind, forms[kind]) for kind in SHAPES if kind in forms)
+    alike = tuple((kind, forms[kind]) for kind in (*SHAPES, *_clouds_among(forms)) if kind in forms)
     fits = lambda found: tuple((o.kind, o.form) for o in found) == alike
-    anew = lambda scene: remembered(scene, (robot.ignored, alike), lambda: _grouped(scene, robot.ignored, False, dict(alike)))
+    anew = lambda scene: _kept(scene, robot.ignored, False, alike)
     return [found if fits(found) else anew(scene) for scene, found in zip(scenes, each, strict=True)]
 
 
 def grouped_in(scene: Scene, robot: Robot, forms: dict[str, Form] | None = None) -> Grouped:
     """`grouped` with arrays of given `forms` by kind, so that a program made for one scene takes another; or of such forms that
     each kind has room for some more. Raises `ValueError` as `grouped`, and where there is no room."""
-    check_scene(scene)
-    least = forms or {kind: Form(LEAF[kind], 0, False) for kind, obstacles, _ in scene.by_kind() if obstacles.count}
-    found = _grouped(scene, robot.ignored, False, least)
+    remembered(scene, "checked", lambda: check_scene(scene))
+    some = {kind: Form(LEAF[kind], 0, False) for kind, obstacles, _ in scene.by_kind() if obstacles.count}
+    least = forms or some | {kind: _roomy(kind, count) for kind, count in scene.room}
+    found = _kept(scene, robot.ignored, False, tuple(least.items()))
     if forms is not None and (got := forms_of(found)) != forms:
-        counts = {kind: count for kind, count in scene.counts.items() if got.get(kind) != forms.get(kind)}
+        points = {kind: cloud.count for kind, cloud in zip(_clouds_among(got), scene.clouds, strict=False)}
+        counts = {kind: count for kind, count in (scene.counts | points).items() if got.get(kind) != forms.get(kind)}
         room = {kind: form.size * form.room for kind, form in forms.items()}
         told = " and ".join(f"{count} {kind} with room for {room.get(kind, 0)}" for kind, count in counts.items())
         raise ValueError(f"scene '{scene.name}': {told} in what was made before; make it anew for this scene")
     return found + own_shapes(robot)
+
+
+def _roomy(kind: str, count: int) -> Form:
+    """The form of so many obstacles, whichever they are."""
+    leaves = -(-count // LEAF[kind])
+    return Form(LEAF[kind], next((n for n in LEAVES if n >= leaves), leaves), kind == "triangles")
 
 
 def forms_of(around: Grouped) -> dict[str, Form]:
@@ -169,21 +185,67 @@ def bits(ignored: tuple[tuple[int, str], ...]) -> dict[int, int]:
     return {link: 1 << k for k, link in enumerate(links)}
 
 
-def _grouped(
-    scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool, least: dict[str, Form] | None = None
+def _kept(
+    scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool, least: tuple[tuple[str, Form], ...] = ()
 ) -> tuple[Obstacles, ...]:
-    """`grouped`, without the robot's own shapes; each kind with `least` its form, if it is told, even where none are there."""
+    """`_grouped` of a known scene, which keeps it."""
+    least = least or tuple((kind, _roomy(kind, count)) for kind, count in scene.room)
+    asked = ignored, by_object, dict(least)
+    solids: Groups = remembered(scene, (SOLID, ignored, by_object, least), lambda: _solids(scene, *asked))
+    if not scene.clouds and not _clouds_among(asked[-1]):
+        return solids.found
+    clouds: tuple[Obstacles, ...] = remembered(scene, ("clouds", ignored, by_object, least), lambda: _clouds(scene, *asked))
+    return solids.found + clouds
+
+
+def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool) -> tuple[Obstacles, ...]:
+    """`grouped` of a traced scene, without the robot's own shapes."""
+    return _solids(scene, ignored, by_object, {}).found + _clouds(scene, ignored, by_object, {})
+
+
+def _masks(scene: Scene, ignored: tuple[tuple[int, str], ...]) -> np.ndarray:
+    """The bits of the links that ignore each object, and at last of those that ignore what belongs to none."""
     bit = bits(ignored)
-    masks = [sum({bit[link] for link, what in ignored if what in ("*", name)}) for name in (*scene.object_names, "")]
+    named = (*scene.object_names, "")
+    return np.array([sum({bit[link] for link, what in ignored if what in ("*", name)}) for name in named], np.int32)
+
+
+def _solids(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool, least: dict[str, Form]) -> Groups:
+    """All but the clouds; each kind with `least` its form, if it is told, even where none are there."""
     found = []
     for kind, obstacles, owner in scene.by_kind():
         rows = {name: getattr(obstacles, name) for name in SHAPES[kind]}
         if is_known(rows):
             rows = jax.tree_util.tree_map(np.asarray, rows)
-        if len(owner) or kind in (least or {}):
-            form = (least or {}).get(kind, Form(1, 0, False))
-            found.append(_obstacles(kind, rows, owner, np.array(masks, np.int32), by_object, ignored, form))
+        if len(owner) or kind in least:
+            form = least.get(kind, Form(1, 0, False))
+            found.append(_obstacles(kind, rows, owner, _masks(scene, ignored), by_object, ignored, form))
+    return Groups(*zip(*found, strict=True)) if found else Groups((), ())
+
+
+def _clouds(
+    scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool, least: dict[str, Form]
+) -> tuple[Obstacles, ...]:
+    """The clouds, in their order, each ready for the search as it is."""
+    masks, found = _masks(scene, ignored), []
+    wanted = [least.get(kind, Form(1, 0, False)).room * CLOUD_LEAF for kind in _clouds_among(least)]
+    for number, (cloud, room) in enumerate(itertools.zip_longest(scene.clouds, wanted)):
+        cloud = nothing(room) if cloud is None else cloud.roomy(max(cloud.room, room or 0))
+        owner = scene.owner(cloud.name)
+        found.append(_cloud(f"{CLOUD} {number + 1}", cloud, owner if by_object else 0, masks[owner], ignored))
     return tuple(found)
+
+
+def _cloud(kind: str, cloud: Cloud, branch: int, mask: Any, ignored: tuple[tuple[int, str], ...]) -> Obstacles:
+    rows = {"center": cloud.center, "radius": cloud.radius}
+    first, last, bit = (np.array([x], np.int32) for x in (branch, branch + 1, mask))
+    unsound = np.zeros((), np.float32)  # what is not finite was left out
+    return Obstacles(kind, rows, None, None, first, last, bit, np.int32(1), unsound, None, ignored, cloud.boxes)
+
+
+def _clouds_among(forms: dict[str, Form]) -> list[str]:
+    """The kinds that are clouds, in their order."""
+    return sorted((kind for kind in forms if kind.startswith(CLOUD)), key=lambda kind: int(kind.split()[1]))
 
 
 def _obstacles(
@@ -194,19 +256,21 @@ def _obstacles(
     by_object: bool,
     ignored: tuple[tuple[int, str], ...],
     least: Form,
-) -> Obstacles:
-    """`masks` of each object, and of what belongs to none, at last."""
+) -> tuple[Obstacles, np.ndarray]:
+    """Obstacles of a kind, and which object each of their rows belongs to; `masks` of each object, and of what belongs to none,
+    at last."""
     known = is_known(rows)
     size = max(LEAF[kind] if not known or len(owner) > FAN else 1, least.size)  # a few fill no leaf
     xp = np if known else jnp
-    center, radius = _extent(rows if known else lax.stop_gradient(rows), xp)
+    center, radius = extent(rows if known else lax.stop_gradient(rows), xp)
     there = np.arange(len(radius)) if not known else np.flatnonzero(~(np.abs(center).max(axis=1) > FAR / 2.0))
     key = owner[there] if by_object else masks[owner[there]]
     keys = np.arange(len(masks) - 1) if by_object else np.unique(key)
     groups = [there[key == each] for each in keys] if len(keys) != 1 or by_object else [there]
     order, ends = _in_leaves(groups, size, center if known else None)
+    owner = owner[order]
     if kind == "triangles":  # each a leaf
-        by_body, owner = _by_body(rows["solid"][order], owner[order], np.repeat(np.arange(len(groups)), np.diff(ends)))
+        by_body, owner = _by_body(rows["solid"][order], owner, np.repeat(np.arange(len(groups)), np.diff(ends)))
         order = xp.asarray(order)[by_body]
     leaves = int(ends[-1])
     fan = leaves + 1 if by_object else max(FAN, round(leaves**0.5))  # leaves a branch, at most
@@ -218,16 +282,17 @@ def _obstacles(
     room = max(leaves, len(first), -(-len(radius) // size))  # with what is taken away: one kernel serves before and after
     more = known and kind != "fields"  # which are few and large
     room = max(next((n for n in LEAVES if n >= room), room) if more else room, least.room)
-    balls = around(center[order].reshape(-1, size, 3), radius[order].reshape(-1, size), xp)
+    balls = balls_around(center[order].reshape(-1, size, 3), radius[order].reshape(-1, size), xp)
     filled, numbered = lambda x: with_zeros(x, room, xp), lambda x: with_zeros(x.astype(np.int32), room, np)
     placed = lambda x: x if np.ndim(x) == 0 else with_zeros(xp.asarray(x)[order], room * size, xp)
     kept = {name: placed(x) for name, x in rows.items()}
-    spheres, branches = (Balls(*map(filled, each)) for each in (balls, _joined(balls, first, last, xp)))
+    spheres, branches = (Balls(*map(filled, each)) for each in (balls, joined(balls, first, last, xp)))
     branch = np.repeat(np.arange(len(first)), last - first)
     bodies = _bodies(kept, owner, branch, by_object, least.solid) if kind == "triangles" else None
     first, last, ignores = map(numbered, (first, last, ignores))
     unsound = xp.asarray(sum(xp.sum(x) * 0.0 for x in rows.values()))
-    return Obstacles(kind, kept, spheres, branches, first, last, ignores, np.int32(len(group)), unsound, bodies, ignored)
+    found = Obstacles(kind, kept, spheres, branches, first, last, ignores, np.int32(len(group)), unsound, bodies, ignored)
+    return found, np.concatenate([owner, np.full(room * size - len(owner), -1)])
 
 
 def _by_body(solid: Any, owner: np.ndarray, group: np.ndarray) -> tuple[Any, np.ndarray]:
@@ -278,7 +343,7 @@ def _in_leaves(groups: list[np.ndarray], size: int, center: np.ndarray | None) -
     return np.concatenate([np.zeros(0, int), *filled]), ends
 
 
-def _extent(rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
+def extent(rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
     """The centres (k, 3) and radii (k,) of spheres around obstacles."""
     place, *more = (x for name, x in rows.items() if name not in (*SIZES_OF, NODES))
     if place.shape[1:] == (4, 4):
@@ -289,42 +354,13 @@ def _extent(rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
     return balls_of(xp.stack([place, *more], axis=1), radius, xp) if more else (place, radius)  # most are points
 
 
-def balls_of(corners: Any, radius: Any, xp: Any) -> tuple[Any, Any]:
-    """Spheres around volumes of `corners` (k, c, 3): centres (k, 3) and radii (k,)."""
-    middle = (corners.max(axis=1) + corners.min(axis=1)) / 2.0
-    return middle, xp.sqrt(xp.sum((corners - middle[:, None]) ** 2, axis=-1)).max(axis=1) + radius
-
-
-def around(center: Any, radius: Any, xp: Any = np) -> Balls:
-    """One ball around each group of balls (g, k, 3), (g, k)."""
-    reach = radius[..., None]
-    middle = ((center + reach).max(axis=1) + (center - reach).min(axis=1)) / 2.0 if center.shape[1] > 1 else center[:, 0]
-    away = xp.sqrt(xp.sum((center - middle[:, None]) ** 2, axis=-1)) + radius
-    return Balls(middle, away.max(axis=1) + SLACK)
-
-
-def _joined(balls: Balls, first: np.ndarray, last: np.ndarray, xp: Any) -> Balls:
-    """Around runs of balls, from `first` to `last`, not counted; a ball far away around none."""
-    rows = _runs(first, last)
-    if not len(balls.radius):
-        return Balls(np.full((len(first), 3), FAR), np.zeros(len(first)))
-    found = around(balls.center[rows], balls.radius[rows], xp)
-    return Balls(xp.where((last > first)[:, None], found.center, FAR), found.radius)
-
-
-def _runs(first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """The numbers from `first` to `last`, not counted, of each run in a row, its last one again and again in shorter ones."""
-    return np.minimum(first[:, None] + np.arange(int(np.max(last - first, initial=1))), np.maximum(last[:, None] - 1, 0))
-
-
-def by_place(points: np.ndarray, size: int) -> np.ndarray:
-    """An order of points (k, 3) in which runs of `size` are neighbours: halved again and again across the longest extent."""
-    order, ends = np.arange(len(points)), np.array([0, len(points)])
-    while len(points) > 4 * FAN * size and (lengths := np.diff(ends)).max() > size:  # fewer are soon looked through
-        order = across(points, order, ends)
-        halves = ends[:-1] + (-(-lengths // size) + 1) // 2 * size
-        ends = np.unique(np.concatenate([ends, halves[lengths > size]]))
-    return order
+def balls_of_object(scene: Scene, number: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Around the obstacles of an object of a known scene, kind by kind: centres (k, 3) and radii (k,)."""
+    found = []
+    for kind, some in scene.rows_of(number):
+        rows = {name: np.asarray(getattr(getattr(scene, kind), name)) for name in SHAPES[kind]}
+        found.append(extent({name: x[some] if x.ndim else x for name, x in rows.items()}, np))
+    return found
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -347,7 +383,7 @@ class Volumes:
         self.size = size = next(filter(full, (8, 4, 2, 1))) if self.arity == 1 else 1
         order, ends = _in_leaves(groups, size, center if known and size > 1 else None)
         self.first, self.last = ends[:-1].astype(np.int32), ends[1:].astype(np.int32)
-        self.leaves = around(center[order].reshape(-1, size, 3), reach[order].reshape(-1, size), xp)
+        self.leaves = balls_around(center[order].reshape(-1, size, 3), reach[order].reshape(-1, size), xp)
         self.corners, self.radius, self.link = corners[order], radius[order], link[order]
         self.joint = np.array(robot.link_joint, np.int32)[self.link]
         self.even = known and bool(np.all(np.ptp(self.radius.reshape(-1, size), axis=1) == 0.0))
@@ -409,5 +445,5 @@ def _parts(links: tuple[int, ...], kinds: tuple[Volumes, ...]) -> Balls:
     xp = np if is_known([v.leaves for v in kinds]) else jnp
     joined = lambda balls: Balls(*map(xp.concatenate, zip(*balls, strict=True)))
     of = lambda p: joined([[x[v.first[p] : v.last[p]] for x in v.leaves] for v in kinds])
-    found = [around(center[None], radius[None], xp) for center, radius in map(of, range(len(links)))]
+    found = [balls_around(center[None], radius[None], xp) for center, radius in map(of, range(len(links)))]
     return joined(found) if found else Balls(np.zeros((0, 3)), np.zeros(0))

@@ -148,7 +148,7 @@ def _order(robot: Robot, around: Grouped, q: Any, *_: Any) -> Any:
 
 def _pairs_of_leaves(trees: bvh.RobotTrees, around: Grouped) -> int:
     own = np.sum([v.last - v.first for v in trees.kinds], axis=0)  # of each part
-    obstacles = sum(len(o.leaves.radius) for o in obstacles_in(around))
+    obstacles = sum(o.form.room for o in obstacles_in(around))
     return int(np.sum(own[trees.part] * own[trees.other]) + np.sum(own) * obstacles)
 
 

@@ -10,8 +10,8 @@ import dataclasses
 import itertools
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import lru_cache, partial
 from typing import Any
 
 import jax
@@ -21,10 +21,10 @@ from jaxtyping import Float
 from jaxik.checks.arrays import Array, check_known
 from jaxik.checks.options import as_count, check_finite, check_kind, nearest
 from jaxik.collision import distance
-from jaxik.collision.bvh import grouped, own_in, pair_tables
+from jaxik.collision.bvh import balls_of_object, grouped, own_in, pair_tables
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.every_contact import Contact, every_contact
-from jaxik.collision.scene import FAR, Scene, check_scene, remembered
+from jaxik.collision.scene import FAR, Change, Scene, check_scene, remembered
 from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.collision.shape_distances import Gap, along, depth_gap, nearest_points, obstacles_of, skeleton_gap
 from jaxik.collision.solids import SAMPLES
@@ -183,6 +183,12 @@ def _with_scene(robot: Robot, scene: Scene | None, volumes: dict[int, Skeleton],
             yield from (_Pairs(gap, skeleton, others, owners, meet) for skeleton in volumes.values())
             if kind == "triangles":
                 yield _Depths(_DEPTH, _sampled(volumes), others, owners, meet)
+    for cloud in scene.clouds:
+        rows = {"center": cloud.points, "radius": np.asarray(cloud.radius)}
+        gap, others = obstacles_of("points", rows, np.float64, np)
+        owners = np.full(len(rows["center"]), scene.owner(cloud.name))
+        if len(owners):
+            yield from (_Pairs(gap, skeleton, others, owners, meet) for skeleton in volumes.values())
 
 
 def _sampled(volumes: dict[int, Skeleton]) -> Skeleton:
@@ -270,7 +276,7 @@ def warn_of_scene(who: str, robot: Robot, scene: Scene, margin: float, *others: 
 
 def standing_words(robot: Robot, scene: Scene, margin: float) -> list[str]:
     """Words on the deepest of the pairs that cannot move apart and come nearer than `margin` [m]; none without such a pair."""
-    known = remembered(scene, "standing", dict)
+    known = remembered(scene, "standing", _Standing)
     if (robot, margin) not in known:
         if len(known) >= KNOWN:
             known.clear()
@@ -290,13 +296,47 @@ def standing_words(robot: Robot, scene: Scene, margin: float) -> list[str]:
 def standing(robot: Robot, scene: Scene, margin: float) -> tuple[Contact, ...]:
     """The pairs nearer than `margin` [m] that no joint moves, nearest first: a link that is fixed to the base with an object
     or with another such link."""
-    still = lambda parts: tuple(part for part in parts if robot.link_joint[part.link] == 0)
-    boxes, volumes = still(robot.boxes), still(robot.volumes)
-    if not boxes and not volumes:
+    fixed = _fixed_part(robot)
+    if not fixed.boxes and not fixed.volumes:
         return ()
-    pairs = tuple(pair for pair in robot.self_pairs if not any(robot.link_joint[link] for link in pair))
-    fixed = dataclasses.replace(robot, boxes=boxes, volumes=volumes, self_pairs=pairs, pair_tables=())
     return explain(fixed, scene, default_pose(robot), count=sys.maxsize, below=margin).contacts
+
+
+@lru_cache(maxsize=KNOWN)
+def _fixed_part(robot: Robot) -> Robot:
+    """The robot with those shapes alone that no joint moves."""
+    still = lambda parts: tuple(part for part in parts if robot.link_joint[part.link] == 0)
+    pairs = tuple(pair for pair in robot.self_pairs if not any(robot.link_joint[link] for link in pair))
+    return dataclasses.replace(robot, boxes=still(robot.boxes), volumes=still(robot.volumes), self_pairs=pairs, pair_tables=())
+
+
+class _Standing(dict[tuple[Robot, float], tuple[Contact, ...]]):
+    """The pairs that are `standing` in a scene, by robot and margin."""
+
+    def changed(self, scene: Scene, changes: Sequence[Change]) -> _Standing:
+        """Keeps, for a scene in which objects have moved, that nothing stands in it, where nothing did and they are away."""
+        return _Standing({key: () for key, found in self.items() if not found and not _beside(*key, scene, changes)})
+
+
+def _beside(robot: Robot, margin: float, scene: Scene, changes: Sequence[Change]) -> bool:
+    """Whether objects that have moved may be nearer than `margin` [m] to shapes that no joint moves."""
+    if {change.object for change in changes} & {scene.owner(cloud.name) for cloud in scene.clouds}:
+        return True
+    middle, reach = _ball_of_fixed(robot)
+    balls = [ball for change in changes if change.pose is not None for ball in balls_of_object(scene, change.object)]
+    return any((np.linalg.norm(center - middle, axis=1) - radius < reach + margin).any() for center, radius in balls)
+
+
+@lru_cache(maxsize=KNOWN)
+def _ball_of_fixed(robot: Robot) -> tuple[np.ndarray, float]:
+    """The centre (3,) and radius of a ball around the shapes that no joint moves [m, world]; nothing is near where are none."""
+    found = skeletons(_fixed_part(robot), default_pose(robot).tolist(), np.float64).values()
+    corners = [(np.stack(corner, axis=-1), skeleton.radius) for skeleton in found for corner in skeleton.corners]
+    if not corners:
+        return np.zeros(3), -np.inf
+    points, radius = (np.concatenate(each) for each in zip(*corners, strict=True))
+    middle = points.mean(axis=0)
+    return middle, float((np.linalg.norm(points - middle, axis=1) + radius).max())
 
 
 def _misspelt(robot: Robot, scene: Scene) -> list[str]:

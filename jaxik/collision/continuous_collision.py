@@ -32,10 +32,11 @@ from jaxtyping import Bool, Float, Int
 
 from jaxik.checks.arrays import Array, as_numbers, is_known, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
-from jaxik.collision.bvh import balls_of, decided_within, grouped, obstacles_in, own_in, pair_tables
+from jaxik.collision.ball_trees import balls_of
+from jaxik.collision.bvh import decided_within, grouped, obstacles_in, own_in, pair_tables
 from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_clearances
 from jaxik.collision.own_shape import CLOSE, told_below
-from jaxik.collision.scene import FAR, KINDS, NODES, SHAPES, Scene
+from jaxik.collision.scene import FAR, KINDS, LIMIT, NODES, SHAPES, Scene
 from jaxik.collision.volumes import box_spheres, xp_of
 from jaxik.kinematics.forward import joint_frames, row_rates, row_values
 from jaxik.kinematics.link_distance_table import PairTable
@@ -453,8 +454,10 @@ def size_of(scene: Scene | None) -> Any:
     """How large the numbers of a scene are [m], but for what is moved away."""
     named = [] if scene is None else [(kind, name) for kind in KINDS for name in SHAPES[kind] if name != NODES]
     leaves = [getattr(getattr(scene, kind), name) for kind, name in named]
-    xp = np if is_known(leaves) else jnp
+    xp = np if is_known(scene) else jnp
     if not leaves:
         return 0.0
-    sizes = xp.abs(xp.concatenate([xp.asarray(x, float).ravel() for x in leaves]))
+    # points further away than a scene is large are too far to be near the robot, whatever rounding does to them
+    clouds = [xp.minimum(cloud.extent, LIMIT) + cloud.radius for cloud in scene.clouds] if scene is not None else []
+    sizes = xp.abs(xp.concatenate([xp.asarray(x, float).ravel() for x in (*leaves, *clouds)]))
     return xp.max(xp.where(sizes < FAR / 2.0, sizes, 0.0), initial=0.0)

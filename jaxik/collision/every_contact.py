@@ -44,7 +44,8 @@ def every_contact(robot: Robot, scene: Scene | None, q: np.ndarray, below: float
         names = (*scene.object_names, "the scene")
         names += tuple(f"none {i}" for i in range(-len(names) % 2 ** max(2, (len(names) - 1).bit_length() - 1)))  # few sizes
         removable = (*scene.removable, *[False] * (len(names) - len(scene.removable)))
-        scene = dataclasses.replace(scene, object_names=names, removable=removable, owners=owners)
+        clouds = tuple(c if scene.owner(c.name) >= 0 else dataclasses.replace(c, name="the scene") for c in scene.clouds)
+        scene = dataclasses.replace(scene, object_names=names, removable=removable, owners=owners, clouds=clouds)
     own, links = robot_trees(robot), robot.link_names
     if not len(own.other) and not names:  # a program of no pairs has no results
         return [()] * len(q)

@@ -10,6 +10,7 @@ from jax import lax
 
 from jaxik.spatial.algebra import Vec3
 
+FAR = 1e6  # [m] where padding stands: exact in float32 as a square, and far beyond what is there
 SLACK = 1e-4  # [m] that a bounding sphere is larger: nothing is lost to rounding in float32, 100 m from the origin
 
 

@@ -20,6 +20,7 @@ from jax import lax
 from jaxik.checks.arrays import is_known
 from jaxik.collision import bvh, distance
 from jaxik.collision.bvh import Grouped, RobotTrees
+from jaxik.collision.cloud_search import CloudSearch, ball_around
 from jaxik.collision.field_gap import FieldGap
 from jaxik.collision.leaf_rows import Found, as_columns, count_of, entry, nearest_of, row_at, rows_from
 from jaxik.collision.own_pairs import Exact, Parts
@@ -61,6 +62,12 @@ class Others(NamedTuple):
     even: bool
     origin: int
 
+    def ball(self, j: Any) -> tuple[Vec3, Any]:
+        """The ball around leaf j; of a cloud, whose leaves have boxes, around the box."""
+        if not isinstance(self.leaves, tuple):
+            return ball_around(self.leaves, len(self.leaves) // 2 + j, self.columns[1].dtype)
+        return row_at(self.leaves, j)
+
 
 class Space:
     """A robot at one configuration, among what surrounds it. `by_table`: of a pair whose distance is from a table that is told,
@@ -82,8 +89,8 @@ class Space:
         self.rows = 0  # of all others; the numbers of tables come after them
         for o in self.obstacles:
             gap, columns = obstacles_of(o.kind, o.rows, q.dtype)
-            size = count_of(columns) // len(o.leaves.radius)
-            self._put(columns, gap, as_columns(o.leaves, q.dtype), size, o.kind == "points")
+            leaves = o.boxes if o.leaves is None else as_columns(o.leaves, q.dtype)
+            self._put(columns, gap, leaves, o.form.size, o.kind == "points" or o.leaves is None)
         for v, p in zip(self.trees.kinds, self.placed, strict=True):
             self._put(p.volumes, skeleton_gap, p.leaves, v.size, v.even and v.arity == 1)
         self.enough: Any = None  # a distance [m] that ends the search
@@ -177,8 +184,16 @@ class Space:
 
     def _to_branches(self, p: Any, ball: Any, k: int, first: Any, last: Any, found: Found) -> Found:
         """Part p against the obstacles of kind k in branches from `first` to `last`, not counted."""
+        if self.obstacles[k].leaves is None:
+            return self._to_cloud(p, ball, k, first, last, found)
         found = lax.fori_loop(first, last, lambda b, found: self._to_branch(p, ball, k, b, found), found)
         return deepest(self, p, k, first, last, ball, found) if k in self.solid else found
+
+    def _to_cloud(self, p: Any, ball: Any, k: int, first: Any, last: Any, found: Found) -> Found:
+        """Part p against a cloud, kind k, if its branch is one of these."""
+        branch = entry(self.obstacles[k].first, 0)
+        here = (branch >= first) & (branch < last) & self.counts(p, k, 0)
+        return lax.cond(here, lambda found: CloudSearch(self, k).nearest(p, ball, found), lambda found: found, found)
 
     def _to_branch(self, p: Any, ball: Any, k: int, b: Any, found: Found) -> Found:
         """Part p against branch b of the obstacles of kind k."""
@@ -186,13 +201,13 @@ class Space:
         first, last = entry(obstacles.first, b), entry(obstacles.last, b)
         branch = row_at(as_columns(obstacles.branches, self.dtype), b)
         every = lambda found: self._leaves(p, first, last, self.others[k], found, branch)
-        each = lambda found: lax.fori_loop(first, last, functools.partial(self._to_leaf, p, ball, k), found)
+        each = lambda found: lax.fori_loop(first, last, functools.partial(self.to_leaf, p, ball, k), found)
         inside = every if self.own is None else each
         if self.bits is not None:
             inside = lambda found, leaves=inside: lax.cond(self.counts(p, k, b), leaves, lambda found: found, found)
         return self._if_near(found, ball, branch, inside)
 
-    def _to_leaf(self, p: Any, ball: Any, k: int, j: Any, found: Found) -> Found:
+    def to_leaf(self, p: Any, ball: Any, k: int, j: Any, found: Found) -> Found:
         """Part p of a robot with an own shape against leaf j of the obstacles of kind k."""
         others, own = self.others[k], self.own
         assert own is not None
@@ -200,10 +215,10 @@ class Space:
         def nearer(found: Found, mine: Any, rows: Any, places: Any) -> Found:
             return _nearer(found, mine, rows, others.gap, False, False, places)
 
-        model = lambda found: self._leaves(p, j, j + 1, others, found, row_at(others.leaves, j))
+        model = lambda found: self._leaves(p, j, j + 1, others, found, others.ball(j))
         if isinstance(others.gap, FieldGap):  # which is measured to volumes alone
-            return self._if_near(found, ball, row_at(others.leaves, j), model)
-        return self._if_near(found, ball, row_at(others.leaves, j), own.leaf(p, others, j, model, nearer))
+            return self._if_near(found, ball, others.ball(j), model)
+        return self._if_near(found, ball, others.ball(j), own.leaf(p, others, j, model, nearer))
 
     def counts(self, p: Any, k: int, b: Any) -> Any:
         """Whether branch b of the obstacles of kind k counts for part p."""
@@ -267,32 +282,37 @@ class Space:
     def _leaves(self, p: Any, first: Any, last: Any, others: Others, found: Found, around: Any = None) -> Found:
         """All leaves of part p against those of the others from `first` to `last`, not counted, in a ball `around`."""
         for volumes, placed, origin in zip(self.trees.kinds, self.placed, self.first, strict=False):
-            squares = others.even and volumes.arity == 1
             # to the triangles of a surface, small and many, a ball around a line is no measure
             long = others.gap is triangle_gap and volumes.arity > 1
 
-            def own(i: Any, found: Found, v: Any = (volumes, placed, origin, squares, long)) -> Found:
-                volumes, placed, origin, squares, long = v
+            def own(i: Any, found: Found, v: Any = (volumes, placed, origin, long)) -> Found:
+                volumes, placed, origin, long = v
                 ball, mine = row_at(placed.leaves, i), rows_from(placed.volumes, i, volumes.size)
 
                 def other(j: Any, found: Found) -> Found:
+                    inside: Any = functools.partial(self.leaf_pair, volumes, placed, origin, others, i, j)
                     theirs = rows_from(others.columns, j, others.size)
-                    places = origin + i * volumes.size, others.origin + j * others.size
                     marched = isinstance(others.gap, FieldGap) and volumes.arity > 1
-                    gap = lambda found: others.gap.below(found.distance) if marched else others.gap  # type: ignore[attr-defined]
-                    inside = lambda found: _nearer(found, mine, theirs, gap(found), squares, volumes.even, places)
                     if others.size == 1 and (volumes.size > 1 or marched):  # a sphere around a long one says little
                         bound = lambda: others.gap(((ball[0],), ball[1]), jax.tree_util.tree_map(lambda x: x[0], theirs))
                         inside = lambda found, near=inside: self._if(bound() < found.distance, near, found)
                     if long:
-                        return self._if_beside(found, mine, row_at(others.leaves, j), inside)
-                    return self._if_near(found, ball, row_at(others.leaves, j), inside)
+                        return self._if_beside(found, mine, others.ball(j), inside)
+                    return self._if_near(found, ball, others.ball(j), inside)
 
                 every = lambda found: lax.fori_loop(first, last, other, found)
                 return self._if_beside(found, mine, around, every) if long else every(found)
 
             found = lax.fori_loop(entry(volumes.first, p), entry(volumes.last, p), own, found)
         return found
+
+    def leaf_pair(self, volumes: Any, placed: Placed, origin: int, others: Others, i: Any, j: Any, found: Found) -> Found:
+        """Leaf i of the robot's volumes of a kind, and leaf j of the others, each with each."""
+        mine, theirs = rows_from(placed.volumes, i, volumes.size), rows_from(others.columns, j, others.size)
+        squares, places = others.even and volumes.arity == 1, (origin + i * volumes.size, others.origin + j * others.size)
+        marched = isinstance(others.gap, FieldGap) and volumes.arity > 1
+        gap = others.gap.below(found.distance) if marched else others.gap  # type: ignore[attr-defined]
+        return _nearer(found, mine, theirs, gap, squares, volumes.even, places)
 
     def _if_near(self, found: Found, a: Any, b: Any, inside: Callable[[Found], Found]) -> Found:
         """Returns what is found `inside` two spheres, unless they are further apart than what is found already."""

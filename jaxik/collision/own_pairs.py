@@ -141,7 +141,7 @@ class Parts(OwnShape):
 
     def beside_leaf(self, p: Any, others: Any, j: Any, start: Found, enough: Any) -> Found:
         """The nearest of the bodies of part p and the obstacles of leaf j, if they are nearer than the `start`."""
-        frame, (center, radius) = self.frame(p), row_at(others.leaves, j)
+        frame, (center, radius) = self.frame(p), others.ball(j)
         middle = frame.inverse() @ center
         beyond = lambda a: square_beyond(middle - self._center(a), self._box(a)[1])
 
@@ -306,7 +306,7 @@ class Exact(OwnShape):
         dtype = self.space.dtype
 
         def walked(start: Found, enough: Any) -> Found:
-            frame, (center, radius) = self.frame(p), row_at(others.leaves, j)
+            frame, (center, radius) = self.frame(p), others.ball(j)
             rows, middle = rows_from(others.columns, j, others.size), frame.inverse() @ center
 
             def meets(box: Any, found: Found) -> Any:

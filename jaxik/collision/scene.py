@@ -8,22 +8,24 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import operator
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple, overload
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import Array, Shape, check_shape, is_known, is_rigid, rigid_frame
-from jaxik.checks.options import no_such, shown
-from jaxik.pytree import Constant, static
+from jaxik.checks.arrays import Array, Shape, check_known, check_shape, is_known, is_rigid, rigid_frame
+from jaxik.checks.options import as_count, no_such, shown
+from jaxik.collision.cloud import Cloud, check_cloud, cloud_of, clouds_alike
+from jaxik.collision.leaf_rows import FAR
+from jaxik.pytree import Constant, read_only, replaced, static
 from jaxik.spatial.rotations import frame
 
 LIMIT = 100.0  # [m] that anything may be away or long; a crop or a cell is smaller, one in millimetres is not
-FAR = 1e6  # [m] where padding stands: exact in float32 as a square, and far beyond LIMIT
 SIZES = (0, 8, 32, *(k * 2**n for n in range(5, 14) for k in (2, 3)))
 SHAPES: dict[str, dict[str, Shape]] = {  # of k obstacles; the points' radius is that of all
     "points": {"center": ("k", 3), "radius": ()},
@@ -37,6 +39,22 @@ SHAPES: dict[str, dict[str, Shape]] = {  # of k obstacles; the points' radius is
 KINDS = tuple(SHAPES)
 SIZES_OF = ("radius", "half", "solid", "pitch", "error")  # which of the fields say how large and what, not where
 NODES = "values"  # of a field's nodes: neither where nor how large
+
+
+class Change(NamedTuple):
+    """An object, by its number, that has moved by a `pose` (4, 4), or out of the way, where that is None."""
+
+    object: int
+    pose: Any
+
+
+def places_after(place: Any, pose: Any) -> Any:
+    """Places, points (k, 3) or frames (k, 4, 4), that have moved by a pose (4, 4), or out of the way, where that is None."""
+    if pose is None:
+        xp = np if is_known(place) else jnp
+        away = frame(np.full(3, FAR)) if place.ndim == 3 else np.full(3, FAR)
+        return xp.broadcast_to(away.astype(place.dtype), place.shape)
+    return pose @ place if place.shape[-1] == 4 else place @ pose[:3, :3].T + pose[:3, 3]
 
 
 class Kind(Constant):
@@ -62,6 +80,21 @@ class Kind(Constant):
     def put(self, to: Callable[[Any], Any]) -> Kind:
         """The same ones, each of their places turned into another."""
         return dataclasses.replace(self, **{name: to(place) for name, place in self.places.items()})
+
+    def moved(self, rows: Sequence[np.ndarray], poses: Sequence[Any]) -> Kind:
+        """The same ones, some rows of which have moved, one after the other by poses (4, 4), or out of the way."""
+        traced = [isinstance(x, jax.core.Tracer) for x in (*vars(self).values(), *poses)]
+
+        def after(place: Any) -> Any:
+            place = jnp.asarray(place) if any(traced) else np.array(place)
+            for some, pose in zip(rows, poses, strict=True):
+                if isinstance(place, np.ndarray):
+                    place[some] = places_after(place[some], pose)
+                elif len(some):
+                    place = place.at[some].set(places_after(place[some], pose))
+            return place
+
+        return replaced(self, **{name: read_only(after(place)) for name, place in self.places.items()})
 
 
 class Points(Kind):
@@ -142,12 +175,17 @@ class Mark(Constant):
     axis: Float[Array, "3"]
     name: str = static()
 
+    def moved(self, pose: Any) -> Mark:
+        """The mark, moved by a pose (4, 4)."""
+        return dataclasses.replace(self, position=places_after(self.position, pose), axis=pose[:3, :3] @ self.axis)
+
 
 class Scene(Constant):
     """Obstacles by kind; `owners` gives, kind by kind in the order of `KINDS`, the object that each obstacle belongs to.
 
-    `removable[i]` says whether object i may be taken away. Each of the `marks` is an object, too, of the same name; its
-    obstacles, if it has any, are what stands there.
+    `removable[i]` says whether object i may be taken away. `room` says, by kind, for how many obstacles
+    programs are compiled. Each of the `marks` is an object, too, of the same name; its obstacles, if it has any, are what
+    stands there. Each of the `clouds` is an object of its name, too.
     """
 
     __slots__ = ("_known",)  # not in the instance's dictionary, which copies and pickles take over
@@ -160,10 +198,12 @@ class Scene(Constant):
     triangles: Triangles
     fields: Fields = dataclasses.field(default_factory=Fields.none)
     marks: tuple[Mark, ...] = ()
+    clouds: tuple[Cloud, ...] = ()
     name: str = static(default="scene")
     object_names: tuple[str, ...] = static(default=())
     removable: tuple[bool, ...] = static(default=())
     owners: tuple[tuple[int, ...], ...] = static(default=((),) * len(KINDS))
+    room: tuple[tuple[str, int], ...] = static(default=())
 
     def by_kind(self) -> Iterator[tuple[str, Any, np.ndarray]]:
         """Yields the name of each kind, the obstacles, and the object (k,) that each of them belongs to, -1 for none."""
@@ -181,14 +221,18 @@ class Scene(Constant):
     def __str__(self) -> str:
         """One line: the objects and marks that are there, and how many obstacles they have."""
         present = {owner for _, obstacles, owners in self.by_kind() for owner in owners[obstacles.there]}
+        clouds = {cloud.name: cloud.count for cloud in self.clouds}
+        present |= {self.owner(name) for name, count in clouds.items() if count}
         named = [name for i, name in enumerate(self.object_names) if i in present]
         counts = [f"{count} {kind}" for kind, count in self.counts.items() if count]
+        counts += [f"{count:,} points in a cloud" for count in clouds.values() if count]
         marks = [f"{len(self.marks)} marks"] if self.marks else []
         return f"{self.name}: {', '.join([*counts, *marks]) or 'nothing'}" + (f" ({', '.join(named)})" if named else "")
 
     def __repr__(self) -> str:
         owned = zip(KINDS, self.owners, strict=True)
-        kinds = ", ".join(f"{len(owners)} {kind}" for kind, owners in owned if owners) or "no obstacles"
+        room = [f"a cloud of room for {cloud.room:,} points" for cloud in self.clouds]
+        kinds = ", ".join([*(f"{len(owners)} {kind}" for kind, owners in owned if owners), *room]) or "no obstacles"
         names = ", ".join(self.object_names[:8]) + (", ..." if len(self.object_names) > 8 else "")
         return f"Scene {self.name}: {kinds}; {len(self.object_names)} objects ({names}), {len(self.marks)} marks"
 
@@ -200,11 +244,17 @@ class Scene(Constant):
 
         Raises `ValueError` for an object that is not there.
         """
-        several = isinstance(objects, Iterable) and not isinstance(objects, str) and getattr(objects, "ndim", 1) > 0
-        gone = np.zeros(len(self.object_names) + 1, bool)  # the last for what has no name
-        gone[[self._index(each) for each in (objects if several else [objects])]] = True
-        away = {kind: _moved_away(obstacles, gone[owners]) for kind, obstacles, owners in self.by_kind()}
-        return dataclasses.replace(self, **away)
+        return self._changed([Change(i, None) for i in self._indices(objects)])
+
+    def _indices(self, given: Any) -> list[int]:
+        """The numbers of objects that are given by indices or names, one or several."""
+        several = isinstance(given, Iterable) and not isinstance(given, str) and getattr(given, "ndim", 1) > 0
+        return [self._index(each) for each in (given if several else [given])]
+
+    def numbered(self, name: str) -> tuple[tuple[str, ...], int]:
+        """The names of all objects with that one, and its number."""
+        names = self.object_names if name in self.object_names else (*self.object_names, name)
+        return names, names.index(name)
 
     def with_field(self, field: Any, *, name: str = "field", removable: bool = True) -> Scene:
         """The scene with a `jaxik.fields.DistanceField` as a solid, an object of that name; a field of the same name is
@@ -233,6 +283,41 @@ class Scene(Constant):
         owners = (*self.owners[:-1], (*(self.owners[-1][i] for i in kept), number))
         return dataclasses.replace(self, fields=rest.and_(new()), owners=owners)
 
+    def owner(self, name: str) -> int:
+        """The number of the object of a name, -1 where there is none."""
+        return self.object_names.index(name) if name in self.object_names else -1
+
+    def with_cloud(
+        self, points: Any, radius: Any, *, name: str = "cloud", capacity: int | None = None, count: Any = None
+    ) -> Scene:
+        """The scene with a cloud of points (n, 3) [m, world], each the centre of a ball of the `radius` [m], as an object of a
+        `name`; one that is a cloud is replaced. Traced, or on the host.
+
+        Points that are not finite are left out, as a depth image has them where it saw nothing; of an array of fixed length
+        the first `count` alone are taken. A cloud has room for as many points as `capacity` says, or else for its own and for
+        those that it replaces, up to the next power of two: programs that were compiled for as much room serve other clouds.
+        A million have their place. Points may be 100 km away, further than other obstacles, and distances are exact to
+        rounding. Of a traced cloud those beyond that are left out.
+
+        Raises `ValueError`, and leaves this scene as it is, for what is no array (n, 3) of floats, more points than the
+        capacity or 2^20, points that are too far away, a count or capacity that is none, a radius that is below 0 or not
+        finite, and a name that another object has.
+        """
+        if not isinstance(name, str) or name.splitlines() != [name] or not name.strip():
+            raise ValueError(f"with_cloud: the name {shown(repr(name))} is not one line of text; write a word")
+        former = next((cloud for cloud in self.clouds if cloud.name == name), None)
+        if former is None and name in self.object_names:
+            raise ValueError(f"scene '{self.name}': '{shown(name)}' is another object; give the cloud a name of its own")
+        who, room = f"scene '{self.name}': cloud '{shown(name)}'", former.room if former is not None else 0
+        cloud = cloud_of(who, points, radius, name, capacity, count, room)
+        if former is None:
+            names, flags = (*self.object_names, name), (*self.removable, True)
+            return dataclasses.replace(self, clouds=(*self.clouds, cloud), object_names=names, removable=flags)
+        scene = dataclasses.replace(self, clouds=tuple(cloud if each is former else each for each in self.clouds))
+        if (known := getattr(self, "_known", None)) is not None:  # what does not change is not made again
+            object.__setattr__(scene, "_known", {k: x for k, x in known.items() if k == "checked" or k[0] == SOLID})
+        return scene
+
     def _index(self, given: Any) -> int:
         """The number of the object that an index or a name means."""
         if isinstance(given, str):
@@ -245,17 +330,89 @@ class Scene(Constant):
         most = len(self.object_names) - 1
         raise ValueError(f"scene '{self.name}': object {shown(given)}; allowed: names, or indices 0 to {most}")
 
-    def moved(self, a_T_world: Any) -> Scene:
-        """The same scene as seen from another frame: all its points `p` become `a_T_world @ p`.
+    @overload
+    def moved(self, a_T_world: Any, /) -> Scene: ...
 
-        Raises `ValueError` for what is no rigid frame.
+    @overload
+    def moved(self, objects: Any, pose: Any, /) -> Scene: ...
+
+    def moved(self, first: Any, pose: Any = None, /) -> Scene:
+        """The scene after a motion.
+
+            seen = scene.moved(base_T_world)  # all of it, as seen from another frame
+            now = scene.moved("cup", pose)  # one object, or several by one pose or by one each
+
+        All points `p` of what moves become `pose @ p`, with marks. So an object that was built about the origin, of the scene
+        that holds it there, stands at its pose (4, 4); the poses of several may be (k, 4, 4). Nothing compiles anew, and trees
+        of obstacles are not built anew but fitted: where a few objects move again and again, that takes microseconds.
+
+        Raises `ValueError` for what is no rigid frame, and an object that is not there.
         """
-        a_T_world = rigid_frame("moved: a_T_world", a_T_world)
-        turn, shift = a_T_world[:3, :3], a_T_world[:3, 3]
-        to = lambda place: a_T_world @ place if place.shape[-1] == 4 else place @ turn.T + shift
-        kinds = {kind: getattr(self, kind).put(to) for kind in KINDS}
-        marks = tuple(dataclasses.replace(m, position=to(m.position), axis=turn @ m.axis) for m in self.marks)
-        return dataclasses.replace(self, marks=marks, **kinds)
+        if pose is not None:
+            objects = self._indices(first)
+            poses = _frames_of("moved: pose", pose, len(objects))
+            return self._changed([Change(*each) for each in zip(objects, poses, strict=True)])
+        pose = rigid_frame("moved: a_T_world", first)
+        kinds = {kind: getattr(self, kind).put(lambda place: places_after(place, pose)) for kind in KINDS}
+        marks, clouds = tuple(mark.moved(pose) for mark in self.marks), tuple(cloud.moved(pose) for cloud in self.clouds)
+        return dataclasses.replace(self, marks=marks, clouds=clouds, **kinds)
+
+    def with_(self, name: str, *, removable: Any = True, solid: Any = True, **obstacles: Any) -> Scene:
+        """The scene with one more object, or another one in the place of that with this name; the keywords are those of
+        `SceneBuilder.add` [m]. Host.
+
+            scene = scene.with_room(boxes=20, spheres=100)  # once: up to so many compile nothing
+            scene = scene.with_("cup", cylinders=[[0.5, 0.0, 0.1, 0.04, 0.1]])
+
+        Raises `ValueError` as `SceneBuilder` does, for a mark's name, and where there is no room for so many.
+        """
+        from jaxik.collision.scene_builder import with_object
+
+        check_known("Scene.with_", scene=self)
+        return with_object(self, name, removable, solid, obstacles)
+
+    def with_room(self, **counts: Any) -> Scene:
+        """The scene with room for so many obstacles by kind, `boxes=20`: programs that are compiled for it serve all scenes
+        that are made of it, also where there are none of a kind yet. Host.
+
+        Raises `ValueError` for another kind, and for a count below what is there.
+        """
+        room = dict(self.room)
+        for kind, count in counts.items():
+            if kind not in KINDS:
+                raise ValueError(no_such("Scene.with_room", "kind", kind, KINDS))
+            room[kind] = as_count(f"Scene.with_room: {kind}", count)
+            if (least := getattr(self, kind).count) > room[kind]:
+                raise ValueError(f"Scene.with_room: {kind} {room[kind]}; there are {least} already")
+        return dataclasses.replace(self, room=tuple(room.items()))
+
+    def _changed(self, changes: Sequence[Change]) -> Scene:
+        """The scene after changes of some of its objects."""
+        rows: dict[str, list[tuple[np.ndarray, Any]]] = {}
+        for number, pose in changes:
+            for kind, some in self.rows_of(number):
+                rows.setdefault(kind, []).append((some, pose))
+        kinds = {kind: getattr(self, kind).moved(*zip(*each, strict=True)) for kind, each in rows.items()}
+        where = {self.object_names[number]: pose for number, pose in changes}
+        marks = tuple(mark if where.get(mark.name) is None else mark.moved(where[mark.name]) for mark in self.marks)
+        clouds = tuple(cloud.after(where[cloud.name]) if cloud.name in where else cloud for cloud in self.clouds)
+        found: Scene = replaced(self, marks=marks, clouds=clouds, **kinds)
+        vars(found).update(_rows=self._rows, concrete=self.concrete and is_known([change.pose for change in changes]))
+        _inherit(self, found, tuple(changes))
+        return found
+
+    def rows_of(self, number: int) -> list[tuple[str, np.ndarray]]:
+        """The rows of each kind that belong to an object."""
+        return self._rows.get(number, [])
+
+    @functools.cached_property
+    def _rows(self) -> dict[int, list[tuple[str, np.ndarray]]]:
+        """`rows_of` all objects."""
+        found: dict[int, dict[str, list[int]]] = {}
+        for kind, owners in zip(KINDS, self.owners, strict=True):
+            for row, owner in enumerate(owners):
+                found.setdefault(owner, {}).setdefault(kind, []).append(row)
+        return {owner: [(kind, np.array(rows)) for kind, rows in each.items()] for owner, each in found.items()}
 
     @classmethod
     def stacked(cls, scenes: Sequence[Scene]) -> Scene:
@@ -272,12 +429,15 @@ class Scene(Constant):
         if len(grids) > 1:
             raise ValueError(f"stacked: scenes with fields of {' and '.join(map(str, sorted(grids)))} nodes; give each as many")
         alike = [{kind: _filled(getattr(one, kind), size) for kind, size in sizes.items()} for one in each]
-        return jax.tree_util.tree_map(lambda *x: jnp.stack(x), *(cls(**kinds) for kinds in alike))
+        clouds = clouds_alike([one.clouds for one in each])
+        filled = [cls(clouds=own, **kinds) for own, kinds in zip(clouds, alike, strict=True)]
+        return jax.tree_util.tree_map(lambda *x: jnp.stack(x), *filled)
 
     def geometry(self) -> Scene:
         """The obstacles alone, padded and without names: scenes of like sizes then run the same compiled program."""
         padded = self.padded()
-        return Scene(**{kind: getattr(padded, kind) for kind in KINDS})
+        clouds = tuple(dataclasses.replace(cloud, name="") for cloud in self.clouds)
+        return Scene(clouds=clouds, **{kind: getattr(padded, kind) for kind in KINDS})
 
     def padded(self) -> Scene:
         """The scene with each kind padded to the next of a few sizes by obstacles that are out of the way.
@@ -289,25 +449,62 @@ class Scene(Constant):
         return dataclasses.replace(padded, owners=tuple(tuple(owners.tolist()) for *_, owners in padded.by_kind()))
 
 
+SOLID = "solid"  # begins the names of what is remembered of a scene, and does not hang on its clouds
+
+
+class Before(NamedTuple):
+    """The memory of the scene that this one was made of, and the changes since."""
+
+    known: dict[Hashable, Any]
+    changes: tuple[Change, ...]
+
+
 def remembered(scene: Scene, what: Hashable, make: Callable[[], Any]) -> Any:
-    """Caches `make()` on a scene, which holds concrete numbers, and never changes."""
-    known = getattr(scene, "_known", None)
-    if known is None:
-        for kind in KINDS:
-            getattr(scene, kind).freeze()  # `jax.tree_util.tree_map` puts arrays in without a constructor
-        object.__setattr__(scene, "_known", known := {})
+    """Caches `make()` on a scene, which holds concrete numbers, and never changes. Where the scene was made of another, whose
+    value has a method `changed`, that tells what becomes of it in this scene by the changes, or None where it does not know."""
+    known = _memory(scene)
     if what not in known:
-        known[what] = make()
+        before = known.get(Before)
+        found = before.known[what].changed(scene, before.changes) if before is not None and what in before.known else None
+        known[what] = make() if found is None else found
     return known[what]
 
 
+def _memory(scene: Scene) -> dict[Hashable, Any]:
+    known: dict[Hashable, Any] | None = getattr(scene, "_known", None)
+    if known is None:
+        for kind in KINDS:
+            getattr(scene, kind).freeze()  # `jax.tree_util.tree_map` puts arrays in without a constructor
+        for cloud in scene.clouds:
+            cloud.freeze()
+        object.__setattr__(scene, "_known", known := {})
+    return known
+
+
+def _inherit(scene: Scene, changed: Scene, changes: tuple[Change, ...]) -> None:
+    """Lets a changed scene know what the scene remembers; of what that was made of nothing is held."""
+    memory = getattr(scene, "_known", None)
+    if memory is None or not (scene.concrete and changed.concrete):
+        return
+    heritage = {what: value for what, value in memory.items() if hasattr(value, "changed")}
+    if (before := memory.get(Before)) is not None:
+        later = {what: value.changed(scene, before.changes) for what, value in before.known.items() if what not in memory}
+        heritage |= {what: value for what, value in later.items() if value is not None}
+    checked = {"checked": None} if "checked" in memory else {}
+    object.__setattr__(changed, "_known", {Before: Before(heritage, changes), **checked})
+
+
+def _frames_of(what: str, given: Any, count: int) -> list[Any]:
+    """`count` rigid frames of one (4, 4), or of one each (k, 4, 4). Raises `ValueError` for others."""
+    if np.ndim(given) != 3:
+        return [rigid_frame(what, given)] * count
+    if len(given) != count:
+        raise ValueError(f"{what} has shape {np.shape(given)}; allowed: (4, 4), or ({count}, 4, 4) for {count} objects")
+    return [rigid_frame(f"{what} {k + 1}", each) for k, each in enumerate(given)]
+
+
 def _moved_away(obstacles: Any, mask: np.ndarray) -> Any:
-    if not mask.any():
-        return obstacles
-    xp = np if is_known(obstacles) else jnp
-    away = {2: np.full(3, FAR), 3: frame(np.full(3, FAR))}
-    rows = lambda place: mask.reshape(-1, *[1] * (place.ndim - 1))
-    return obstacles.put(lambda place: xp.where(rows(place), away[place.ndim].astype(place.dtype), place))
+    return obstacles.moved([np.flatnonzero(mask)], [None]) if mask.any() else obstacles
 
 
 def _padded(obstacles: Any) -> Any:
@@ -345,6 +542,8 @@ def check_scene(scene: Scene) -> None:
             raise ValueError(f"{who}: {count} for {len(owners)} owners; make the scene anew (make_scene, SceneBuilder)")
         if count and is_known(arrays):
             _check_values(who, arrays)
+    for cloud in scene.clouds:
+        check_cloud(f"scene '{scene.name}': cloud '{cloud.name}'", cloud)
 
 
 def _check_array(what: str, array: Any, shape: Shape) -> None:

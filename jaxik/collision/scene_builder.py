@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from operator import length_hint
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from jaxik.checks.arrays import direction, numbers, rigid_frame
 from jaxik.checks.options import check_flag, shown
 from jaxik.collision.scene import KINDS as ALL
-from jaxik.collision.scene import LIMIT, Boxes, Capsules, Cylinders, Mark, Points, Scene, Spheres, Triangles, remembered
+from jaxik.collision.scene import (
+    LIMIT,
+    Boxes,
+    Capsules,
+    Cylinders,
+    Mark,
+    Points,
+    Scene,
+    Spheres,
+    Triangles,
+    check_scene,
+    remembered,
+)
 from jaxik.collision.surfaces import as_bodies, polygon_triangles
 
 KINDS = tuple(kind for kind in ALL if kind != "fields")  # those that are rows of plain numbers (`Scene.with_field`)
@@ -107,6 +121,40 @@ class SceneBuilder:
         )
         remembered(scene, "checked", lambda: None)  # as each obstacle was
         return scene
+
+
+def with_object(scene: Scene, name: str, removable: Any, solid: Any, obstacles: dict[str, Any]) -> Scene:
+    """`Scene.with_`: a scene with another object, or with another one of that name."""
+    builder = SceneBuilder(scene.name)
+    builder.add(name, removable=removable, solid=solid, **obstacles)
+    names, number = scene.numbered(name)
+    taken = {*(mark.name for mark in scene.marks), *(cloud.name for cloud in scene.clouds)}
+    if name in taken or number in scene.owners[ALL.index("fields")]:
+        raise ValueError(f"scene '{scene.name}': '{shown(name)}' is a mark, a cloud or a field; give another name")
+    return _joined(scene, builder.scene(), names, number)
+
+
+def _joined(scene: Scene, one: Scene, names: tuple[str, ...], number: int) -> Scene:
+    """The scene, whose objects then have these names, with the only object of another one in the place of the object of that
+    number."""
+    kinds, owners = {}, []
+    for (kind, old, before), (_, new, _) in zip(scene.by_kind(), one.by_kind(), strict=True):
+        if not new.count and not (before == number).any():
+            owners.append(scene.owners[ALL.index(kind)])
+            continue
+        kept = np.flatnonzero((before >= 0) & (before != number))
+        join = lambda a, b, kept=kept: np.concatenate([np.asarray(a)[kept], b]) if np.ndim(a) else a
+        kinds[kind] = jax.tree_util.tree_map(join, old, new)
+        owners.append((*before[kept].tolist(), *[number] * new.count))
+        _few(f"scene '{scene.name}': {kind}", len(owners[-1]))
+        room = dict(scene.room).get(kind, MOST)
+        if len(owners[-1]) > room:
+            mend = "make room for more (Scene.with_room)"
+            raise ValueError(f"scene '{scene.name}': {len(owners[-1])} {kind} with room for {room}; {mend}")
+    removable = (*scene.removable[:number], one.removable[0], *scene.removable[number + 1 :])
+    found = dataclasses.replace(scene, **kinds, object_names=names, removable=removable, owners=tuple(owners))
+    remembered(found, "checked", lambda: check_scene(scene))
+    return found
 
 
 def make_scene(*, point_radius: Any = 0.0, name: str = "scene", **obstacles: Any) -> Scene:

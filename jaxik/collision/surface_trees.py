@@ -16,9 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxik.collision import distance, surfaces
+from jaxik.collision import distance, surfaces, tree_walk
 from jaxik.collision.leaf_rows import Found, entry, nearest_of
 from jaxik.collision.scene import with_zeros
+from jaxik.collision.tree_walk import following
 from jaxik.kinematics.shapes import Surface
 from jaxik.spatial.algebra import Frame, Vec3, traced
 
@@ -170,15 +171,6 @@ def triangle_at(trees: Trees, i: Any, dtype: Any) -> tuple[Vec3, Vec3, Vec3]:
     return a, b, c
 
 
-def _next(number: Any) -> tuple[Any, Any]:
-    """The next number in order after one whose halves are not looked at, and how many bits fewer it has: what ends in ones
-    was the last half of its parents. After the last one comes 1, the root."""
-    after = number + 1
-    lowest = (after & -after).astype(jnp.float32)  # a power of two, whose exponent is the number of zeros behind it
-    zeros = (lax.bitcast_convert_type(lowest, jnp.int32) >> 23) - 127
-    return after >> zeros, zeros
-
-
 def _every_other(x: Any) -> Any:
     """The bits 0, 2, 4... of a number below 2^30, side by side."""
     x = x & 0x55555555
@@ -230,7 +222,7 @@ def surface_gap(a: Trees, i: Any, b: Trees, j: Any, a_T_b: Frame, found: Found, 
         mine, theirs = halves(at.number, at.depth)
         near = (square(mine, theirs) < least * least) & wanted(least, enough)
         leaf, down = near & (at.depth == most), near & (at.depth < most)
-        after, fewer = _next(at.number)
+        after, fewer = following(at.number)
         return _Place(
             jnp.where(down, 2 * at.number, after),
             jnp.where(down, at.depth + 1, at.depth - fewer),
@@ -299,34 +291,20 @@ def surface_gap(a: Trees, i: Any, b: Trees, j: Any, a_T_b: Frame, found: Found, 
 
 def walk(trees: Trees, s: Any, meets: Callable[..., Any], inside: Callable[..., Any], state: Any, dtype: Any) -> Any:
     """`inside(k, state)` of each triangle k of surface s whose boxes are such that `meets(box, state)`."""
-    levels, heap = entry(trees.levels, s), entry(trees.heap, s)
+    heap, leaf = entry(trees.heap, s), entry(trees.leaf, s)
 
-    def step(at: tuple[Any, Any, Any, Any], state: Any) -> tuple[Any, Any, Any, Any]:
-        box = at[0]
-        near, last = meets(box_at(trees, heap + box, dtype), state), box >= (1 << levels)
-        after = _next(box)[0]
-        leaf, down = near & last, near & ~last
-        return jnp.where(down, 2 * box, after), jnp.where(leaf, box, at[1]), leaf, ~down & (after == 1)
-
-    def onwards(at: Any, state: Any) -> Any:
-        goes_on = lambda at: ~(at[2] | at[3])
-        return lax.while_loop(goes_on, lambda at: step(at, state), (*at[:2], at[3] & False, at[3]))
-
-    def again(both: Any) -> Any:
-        at, state = both
-        own = entry(trees.leaves, entry(trees.leaf, s) + at[1] - (1 << levels))
+    def every(m: Any, state: Any) -> Any:
+        own = entry(trees.leaves, leaf + m)
         count = own.shape[0]
 
         def each(k: Any, state: Any) -> Any:  # each once
             again = (k > 0) & (entry(own, k) == entry(own, jnp.maximum(k - 1, 0)))
             return lax.cond(again, lambda state: state, lambda state: inside(entry(own, k), state), state)
 
-        state = inside(own[0], state) if count == 1 else lax.fori_loop(jnp.int32(0), jnp.int32(count), each, state)
-        return onwards(at, state), state
+        return inside(own[0], state) if count == 1 else lax.fori_loop(jnp.int32(0), jnp.int32(count), each, state)
 
-    one = jnp.ones_like(levels)
-    start = onwards((one, one, one > 1, one > 1), state)
-    return lax.while_loop(lambda both: both[0][2], again, (start, state))[1]
+    met = lambda box, state: meets(box_at(trees, heap + box, dtype), state)
+    return tree_walk.walk(1 << entry(trees.levels, s), met, every, state)
 
 
 def winds_around(trees: Trees, s: Any, point: Vec3) -> Any:

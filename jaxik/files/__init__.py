@@ -1,5 +1,6 @@
 """Robots, scenes and targets from files and to files: the only place that reads them."""
 
+from jaxik.files.cloud import load_cloud
 from jaxik.files.loading import LoadOptions, fit_report, link_meshes, load
 from jaxik.files.mesh import load_mesh
 from jaxik.files.robot_files import save
@@ -11,6 +12,7 @@ __all__ = [
     "fit_report",
     "link_meshes",
     "load",
+    "load_cloud",
     "load_mesh",
     "load_scene",
     "load_targets",

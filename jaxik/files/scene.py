@@ -15,6 +15,7 @@ from jaxik.checks.options import check_kind, shown
 from jaxik.collision.scene import FAR, SHAPES, Mark, Scene
 from jaxik.collision.scene_builder import SceneBuilder, hanging
 from jaxik.collision.surfaces import as_bodies
+from jaxik.files.cloud import load_cloud, save_points
 from jaxik.files.documents import locate, read_bytes, write_text
 from jaxik.files.mesh import load_mesh, resolve
 from jaxik.files.robot_toml import Table, read_toml, toml
@@ -65,8 +66,19 @@ def _from_toml(path: Path) -> Scene:
         _object(each, builder)
     for each in table.tables("mark"):
         _mark(each, builder)
+    clouds = [_cloud(each) for each in table.tables("cloud")]
     table.close()
-    return builder.scene()
+    scene = builder.scene()
+    for points, named in clouds:
+        scene = scene.with_cloud(points, **named)
+    return scene
+
+
+def _cloud(table: Table) -> tuple[np.ndarray, dict[str, Any]]:
+    """The points of a cloud, in a file below the scene's folder, and what else `with_cloud` takes."""
+    name, file, radius = table.named(), table.text("file"), table.number("radius", "length")
+    capacity = table.count("capacity", 0, 0) or None
+    return load_cloud(_below(table, "cloud", file)), {"name": name, "radius": radius, "capacity": capacity}
 
 
 def _object(table: Table, builder: SceneBuilder) -> None:
@@ -108,10 +120,15 @@ def _mesh(table: Table) -> np.ndarray:
     """The triangles (k, 9) of a mesh in a file below the scene's folder."""
     name, scale = table.text("file"), table.finite("scale", (), 1e-12, default=1.0)
     place = frame(table.finite("position", (3,), unit="length", default=np.zeros(3)), table.turn())
+    return load_mesh(_below(table, "mesh", name), frame=place, scale=scale).reshape(-1, 9)
+
+
+def _below(table: Table, what: str, name: str) -> Path:
+    """The file of that name, from the scene's folder on."""
     target = resolve(table.path, table.where, name, table.path.resolve().parent)
     if target is None or not os.path.isfile(target):
-        raise table.fail(f"mesh '{name}' is not found", f"put it at {target}" if target else "give a path from this file on")
-    return load_mesh(target, frame=place, scale=scale).reshape(-1, 9)
+        raise table.fail(f"{what} '{name}' is not found", f"put it at {target}" if target else "give a path from this file on")
+    return target
 
 
 def _from_csv(path: Path) -> Scene:
@@ -177,8 +194,8 @@ def _from_points(path: Path, labels: list[str], points: np.ndarray) -> Scene:
 
 
 def save_scene(scene: Scene, path: str | Path, *, description: str = "-") -> None:
-    """Writes a scene as `.toml`, which `load_scene` gives back to the last bit, objects first and marks after them, without
-    what was taken away (`Scene.without`). Host.
+    """Writes a scene as `.toml`, which `load_scene` gives back to the last bit, objects first, marks and clouds after them,
+    without what was taken away (`Scene.without`); the points of clouds beside it, as `NAME_cloud_1.npy`. Host.
 
     Raises `ValueError` for another ending, for a file that cannot be written, and for obstacles that belong to no object
     (`Scene.geometry`), which a file cannot name.
@@ -186,10 +203,13 @@ def save_scene(scene: Scene, path: str | Path, *, description: str = "-") -> Non
     check_kind("save_scene", "scene", scene, Scene)
     if (file := Path(path)).suffix.lower() != ".toml":
         raise ValueError(f"save_scene: {file}: ending '{file.suffix}'; allowed: .toml")
-    write_text("save_scene", file, _written(scene, description))
+    files = {cloud.name: f"{file.stem}_cloud_{number}.npy" for number, cloud in enumerate(scene.clouds, 1)}
+    write_text("save_scene", file, _written(scene, description, files))
+    for cloud in scene.clouds:
+        save_points("save_scene", cloud.points, file.with_name(files[cloud.name]))
 
 
-def _written(scene: Scene, description: str) -> str:
+def _written(scene: Scene, description: str, files: dict[str, str]) -> str:
     if scene.fields.count:
         raise ValueError(f"save_scene: '{scene.name}' has a distance field; save it by field.save, and the scene without it")
     obstacles, marks = _tables(scene), {mark.name: mark for mark in scene.marks}
@@ -203,6 +223,9 @@ def _written(scene: Scene, description: str) -> str:
             tables.append(("mark", {"name": name, **_mark_keys(marks[name], rows), **_row_keys(rows)}))
         elif any(len(r) for r in rows.values()):
             tables.append(("object", {"name": name, "removable": bool(scene.removable[i]), **_row_keys(rows)}))
+    for cloud in scene.clouds:
+        keys = {"name": cloud.name, "file": files[cloud.name], "radius": cloud.radius, "capacity": cloud.room}
+        tables.append(("cloud", keys))
     head = {"name": scene.name, "description": description, "point_radius": scene.points.radius}
     return toml(head, tables)
 

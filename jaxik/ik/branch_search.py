@@ -42,26 +42,27 @@ def first_clear_answer(
     robot: Robot, pose: Any, tolerance: Any, first: Any, last: Any, values: Any, around: Any, margin: Any
 ) -> tuple[Any, Any, Any, Any, Any]:
     """Returns the same of all branches at each point, the first that keeps `margin` [m] to what is `around`, and its clearance
-    [m] before the number. Traced."""
+    [m] before the number. Where there is none it is the freest of those that have the pose, at -inf if none has. Traced."""
 
     def point(state: Any) -> Any:
-        number, *nothing = state
+        number, *freest = state
         left = candidates(robot, pose, values[number])
 
         def branch(state: Any) -> Any:
-            k = state[0]
+            k, *freest = state
             q, fits = left.finished(k)
             away, turned, exact = _judged(robot, q, pose, tolerance)
             measured = lambda: clearance_around(robot, q, around)
             apart = lax.cond(fits & exact, measured, lambda: -jnp.inf * jnp.ones_like(away))
-            return left.next(k + 1), q, away, turned, apart, jnp.where(apart >= margin, BRANCHES * number + k, NOBODY)
+            here = q, away, turned, apart, jnp.where(apart >= margin, BRANCHES * number + k, NOBODY)
+            return left.next(k + 1), *(jnp.where(apart > freest[3], new, old) for new, old in zip(here, freest, strict=True))
 
-        begin = left.next(jnp.int32(0)), *nothing
+        begin = left.next(jnp.int32(0)), *freest
         found = lax.while_loop(lambda state: (state[-1] == NOBODY) & (state[0] < BRANCHES), branch, begin)
         return number + 1, *found[1:]
 
     nothing = jnp.zeros((), pose.dtype)
-    begin = first, jnp.zeros(robot.num_joints, pose.dtype), nothing, nothing, nothing, jnp.int32(NOBODY)
+    begin = first, jnp.zeros(robot.num_joints, pose.dtype), nothing, nothing, nothing - jnp.inf, jnp.int32(NOBODY)
     return lax.while_loop(lambda state: (state[-1] == NOBODY) & (state[0] < last), point, begin)[1:]
 
 

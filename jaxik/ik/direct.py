@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
-from jaxik.collision.bvh import own_in
+from jaxik.collision.bvh import Grouped, own_in
 from jaxik.ik import seeds
 from jaxik.ik.branch_search import NOBODY, first_answers, first_clear_answers
 from jaxik.ik.enumeration import enumerable, points
@@ -22,8 +23,10 @@ from jaxik.ik.result import IKResult
 from jaxik.ik.seed_search import Setup, Shared, Target, first_from_seeds
 from jaxik.ik.sqp_programs import batch, clearance_around
 from jaxik.kinematics.joint_turns import endless
+from jaxik.pytree import replaced
 from jaxik.reasons import Reason
-from jaxik.spmd import HostKernel
+from jaxik.spmd import HostKernel, Unsupported
+from jaxik.spmd.host import Sharing
 from jaxik.spmd.trace import TEAM_SIZE
 
 SEEDS = 128  # that are tried here; a user may ask for no fewer: of fewer the driver makes other steps
@@ -54,10 +57,25 @@ class Direct:
     def __init__(self, problem: Problem):
         self.problem = problem
         self._rigid = RIGID_POSE.repeated(np.eye(4)[None], double=True)
-        self._search, self._told = _search(problem), None
-        if problem.scene is not None and own_in(problem.scene):
-            self._told = _clearances(problem, problem.told)
-        self._usual = _usual(problem)
+        self._search, self._told = _search(problem), _clearances(problem)
+        self._structure = _structure(problem.scene)
+        self._bind(())
+
+    def within(self, around: Grouped) -> Direct:
+        """The same in other surroundings, for which nothing is compiled. Raises `Unsupported` where these have another form."""
+        if self.problem.scene is None or _structure(around) != self._structure:
+            raise Unsupported("surroundings of another form")
+        other: Direct = object.__new__(Direct)
+        vars(other).update(vars(self), problem=replaced(self.problem, scene=around))
+        other._bind(around)
+        return other
+
+    def _bind(self, around: Grouped) -> None:
+        """Makes what is called, for other surroundings than those that the programs were made for, if any are told."""
+        leaves = jax.tree_util.tree_leaves
+        self._found = self._search.bound(leaves(around))
+        self._apart = None if self._told is None else self._told(0, leaves(self.problem.told) if around else ())
+        self._usual = _usual(self.problem)
 
     def __call__(self, pose: np.ndarray, home: np.ndarray | None = None) -> IKResult | None:
         """The answer for a pose (4, 4) in float64, from seeds near the posture `home` (n,) where these are asked for; None
@@ -65,17 +83,21 @@ class Direct:
         poses, valid = self._rigid(pose[None])
         if not valid[0]:
             return None
-        q, away, turned, clearance, number, count = self._search(poses, home)
+        q, away, turned, clearance, number, count = self._found(poses, home)
         if number[0] >= NOBODY:
             return None
-        if self._told is not None:
-            (clearance,) = self._told(q)
+        if self._apart is not None:
+            (clearance,) = self._apart(q)
         result: IKResult = object.__new__(IKResult)
         found = {"q": q[0], "position_error": away[0], "rotation_error": turned[0], "clearance": clearance[0]}
         numbers = {"seed": np.int64(number[0]), "iterations": np.int64(count[0])}
         arrays = {"solutions": q.copy(), "apart": np.zeros(2)}  # of this result alone: who writes into one changes no other
         vars(result).update(self._usual, **found, **numbers, **arrays)
         return result
+
+
+def _structure(around: Grouped | None) -> Any:
+    return jax.tree_util.tree_structure(around)
 
 
 def blind(problem: Problem) -> Problem:
@@ -93,9 +115,12 @@ def _usual(problem: Problem) -> dict[str, Any]:
     return {"reason": Reason.SOLVED, **own, **none, **nearest}
 
 
-def _clearances(problem: Problem, around: Any) -> Callable[[np.ndarray], list[np.ndarray]]:
+def _clearances(problem: Problem) -> Sharing | None:
+    """The program that tells an answer's clearance, where it is not that of the search."""
+    if problem.scene is None or not own_in(problem.scene):
+        return None
     kernel = batch(1, clearance_around, problem.robot)
-    return kernel.repeated(np.zeros((1, problem.robot.num_joints)), around, double=True, given=1)
+    return kernel.shared_by(np.zeros((1, problem.robot.num_joints)), problem.told, double=True, given=1)
 
 
 def is_compiled(problem: Problem) -> bool:
@@ -116,21 +141,36 @@ def _program(problem: Problem) -> tuple[HostKernel, tuple[Any, ...], bool]:
     return first_from_seeds(setup), given, False
 
 
-def _search(problem: Problem) -> Searched:
-    """The program as a function of a pose (1, 4, 4) and a posture: a posture, its errors, its clearance, the number of its seed
-    and how many steps led there, each (1, ...)."""
+class _Search(NamedTuple):
+    """The program of a problem, which shares its surroundings behind `before` other arrays; and, of a search from seeds, the
+    rows that are given to it."""
+
+    program: Sharing
+    before: int
+    given: tuple[Any, ...] | None
+
+    def bound(self, around: Sequence[Any]) -> Searched:
+        """The program as a function of a pose (1, 4, 4) and a posture: a posture, its errors, its clearance, the number of its
+        seed and how many steps led there, each (1, ...). `around` are the arrays of other surroundings, if they are others."""
+        run = self.program(self.before, around)
+        if self.given is not None:
+            _, tolerance, aim, usual = self.given
+            return lambda pose, home: run(pose, tolerance, aim, usual if home is None else home[None])
+        unknown, none = np.full(1, np.nan), np.zeros(1, int)
+
+        def search(pose: np.ndarray, home: np.ndarray | None) -> Sequence[np.ndarray]:
+            q, away, turned, *clearance, number = run(pose)
+            return q, away, turned, clearance[0] if clearance else unknown, number, none
+
+        return search
+
+
+def _search(problem: Problem) -> _Search:
     kernel, given, branches = _program(problem)
-    run = kernel.repeated(*given, double=True, given=1 if branches else len(given[0]))
-    if not branches:
-        _, tolerance, aim, usual = given[0]
-        return lambda pose, home: run(pose, tolerance, aim, usual if home is None else home[None])
-    unknown, none = np.full(1, np.nan), np.zeros(1, int)
-
-    def search(pose: np.ndarray, home: np.ndarray | None) -> Sequence[np.ndarray]:
-        q, away, turned, *clearance, number = run(pose)
-        return q, away, turned, clearance[0] if clearance else unknown, number, none
-
-    return search
+    first = 1 if branches else len(given[0])
+    around = len(jax.tree_util.tree_leaves(problem.scene)) + 1  # and the margin, at last
+    before = len(jax.tree_util.tree_leaves(given)) - first - around
+    return _Search(kernel.shared_by(*given, double=True, given=first), before, None if branches else given[0])
 
 
 def seed_rows(problem: Problem, most: int, ends: bool, library: int = seeds.SETS) -> tuple[tuple[Target, Shared], Setup]:

@@ -177,10 +177,16 @@ def beyond_reach(problem: Problem) -> np.ndarray:
             found.append(np.full(len(poses), -np.inf))
             continue
         bound = reach_bound(problem.robot, task.turn_known, ends)
-        slack = problem.tolerance @ [1.0, np.linalg.norm(bound.tip_p)]  # a turn of the tip moves the point that is bounded
         exact = task.plain and len(task.positions) == 3
-        found.append((bound.excess(poses) if exact else _least_excess(bound, task, poses)) - (1e-9 + slack))
+        excess = bound.excess(poses) if exact else _least_excess(bound, task, poses)
+        found.append(excess - bound_slack(bound, problem.tolerance))
     return np.stack(found, axis=1) if problem.tasks.stacked else found[0][:, None]
+
+
+def bound_slack(bound: ReachBound, tolerance: np.ndarray) -> np.ndarray:
+    """How far (N,) beyond a bound poses may lie that are met within tolerances (N, 2) [m, rad], and by rounding: a turn of the
+    tip moves the point that is bounded."""
+    return tolerance @ [1.0, np.linalg.norm(bound.tip_p)] + 1e-9
 
 
 def _least_excess(bound: ReachBound, task: Task, poses: np.ndarray) -> np.ndarray:

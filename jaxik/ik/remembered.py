@@ -6,6 +6,7 @@ a call has come often, and the driver answers meanwhile.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from concurrent.futures import Future
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import check_geometry, has_geometry
 from jaxik.collision.contact_report import standing_words
 from jaxik.collision.scene import Scene, remembered
@@ -23,6 +25,7 @@ from jaxik.ik.problem import Poses, Problem, is_looked_at
 from jaxik.ik.result import IKResult
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.tasks import tasks_of
+from jaxik.spmd import Unsupported
 from jaxik.spmd.batch import anew_in_forks, threads
 
 KEPT = 32  # kinds of calls
@@ -59,6 +62,12 @@ def direct_problem(robot: Robot, scene: Scene | None, seed: int, options: IKOpti
     return problem if is_direct(problem) else None
 
 
+def in_scene(direct: Direct, scene: Scene) -> Direct:
+    """The programs in another scene. Raises `Unsupported` where that has another form."""
+    problem = direct.problem
+    return direct.within(problem.asked(grouped(scene, problem.robot)))
+
+
 class _Place:
     """The programs for calls of one kind in one scene, once they are there, or `settled` without any. The robot is held, so
     that no other is taken for it."""
@@ -68,8 +77,13 @@ class _Place:
         self.direct: Direct | None = None
         self.coming: Future[Direct] | None = None
 
-    def look(self, calls: int, scene: Scene | None, seed: int, options: IKOptions) -> None:
-        """Finds the programs, where they are there, or has them made for one who calls often."""
+    def look(self, calls: int, scene: Scene | None, seed: int, options: IKOptions, like: Direct | None) -> None:
+        """Finds the programs, where they are there, or has them made for one who calls often. They may be those `like` others,
+        of another scene."""
+        if like is not None and scene is not None and not standing_words(self.robot, scene, options.margin):
+            with contextlib.suppress(Unsupported):
+                self.direct, self.settled = in_scene(like, scene), True
+                return
         problem = direct_problem(self.robot, scene, seed, options)
         if problem is None:
             self.settled = True
@@ -82,11 +96,12 @@ class _Place:
 
 
 class _Kind:
-    """Calls of one kind, for the same robot and options: how many came so far, and their place where there is no scene. With
-    one it is the scene that keeps it."""
+    """Calls of one kind, for the same robot and options: how many came so far, the programs of the last one, and their place
+    where there is no scene. With one it is the scene that keeps it."""
 
     def __init__(self, robot: Robot, key: Any):
         self.robot, self.key, self.calls, self._alone = robot, key, 0, _Place(robot)
+        self.last: Direct | None = None
 
     def place(self, scene: Scene | None) -> _Place:
         place: _Place = self._alone if scene is None else remembered(scene, self.key, lambda: _Place(self.robot))
@@ -116,8 +131,11 @@ def answered_directly(
         return None
     place = kind.place(scene)
     if not place.settled:
-        place.look(kind.calls, scene, seed, IKOptions.chosen(options, changes))
-    return None if place.direct is None else place.direct(pose)
+        place.look(kind.calls, scene, seed, IKOptions.chosen(options, changes), kind.last)
+    if place.direct is None:
+        return None
+    kind.last = place.direct
+    return place.direct(pose)
 
 
 def as_pose(target: Any) -> np.ndarray | None:

@@ -85,7 +85,7 @@ class Lane(NamedTuple):
 
 class Answer(NamedTuple):
     """The answer of all lanes: a posture (n,), its errors and clearance, the number of its seed, `NOBODY` where there is none,
-    and how many steps led to it."""
+    and how many steps led to it. Without an answer its clearance is NaN, unless the posture has the pose and collides."""
 
     q: Any
     away: Any
@@ -96,7 +96,8 @@ class Answer(NamedTuple):
 
 
 def searched_from_seeds(setup: Setup, target: Target, shared: Shared) -> Answer:
-    """The answer; where there is none, the nearest miss, as the end of its steps left it. Traced."""
+    """The answer; where there is none, the freest posture that has the pose, if the search `ends` with it, else the nearest
+    miss, as the end of its steps left it. Traced."""
     return team(lambda *given: _Search(setup, *given).run())(target, shared)
 
 
@@ -114,13 +115,14 @@ class _Misses(NamedTuple):
 class _Turn(NamedTuple):
     """Sixteen seeds after others: the number of the turn; whether it is `blind`, looks for the first posture that has the pose,
     which most often is clear where the robot is alone; whether a lane stops when one before it has landed; the misses so far;
-    and the answer."""
+    the answer, and the freest posture that collides."""
 
     number: Any
     blind: Any
     eager: Any
     misses: _Misses
     answer: Answer
+    freest: Answer
 
 
 class _Search:
@@ -139,14 +141,13 @@ class _Search:
         """All turns until there is an answer."""
         answer, blind = self._nothing(), jnp.bool_(self.races)
         miss = Lane(answer.q, answer.away, answer.turned, answer.count)
-        begin = _Turn(jnp.int32(0), blind, blind, _Misses(miss, answer.number, jnp.float64(jnp.inf)), answer)
+        begin = _Turn(jnp.int32(0), blind, blind, _Misses(miss, answer.number, jnp.float64(jnp.inf)), answer, answer)
         going = lambda turn: (turn.answer.number == NOBODY) & (turn.number < self._last(turn))
         end = lax.while_loop(going, self._turn, begin)
         (q, away, turned, count), _ = self._taken(end.misses.distance, end.misses.distance < jnp.inf, end.misses.lane)
         missed = Answer(q, away, turned, answer.clearance, answer.number, count)
-        return jax.tree_util.tree_map(
-            lambda found, missed: jnp.where(end.answer.number < NOBODY, found, missed), end.answer, missed
-        )
+        missed = _either(jnp.isnan(end.freest.clearance), missed, end.freest)
+        return _either(end.answer.number < NOBODY, end.answer, missed)
 
     def _last(self, turn: _Turn) -> Any:
         """The number of turns."""
@@ -166,7 +167,7 @@ class _Search:
         pick = lambda known, new: jnp.where(rescue, known, new)
         seed, left = pick(missed.seed, first + self.me), pick(near, self._landed(ended))
         lane = jax.tree_util.tree_map(pick, missed.lane, _wide(ended))
-        answer, hits, lane = self._first(lane, seed, left, rescue, turn.blind)
+        answer, freest, hits, lane = self._first(lane, seed, left, rescue, turn)
         again = turn.eager & ~rescue & _any(left)  # a lane that landed in vain stopped others
         distance = self._distance(lane)
         nearer = ~rescue & ~again & (distance < missed.distance)
@@ -174,7 +175,7 @@ class _Search:
         misses = jax.tree_util.tree_map(keep, _Misses(lane, seed, distance), missed)
         number = jnp.where(hits, 0, jnp.where(again, turn.number, turn.number + 1))
         blind = turn.blind & ~hits
-        return _Turn(number, blind, blind & ~again, misses, answer)
+        return _Turn(number, blind, blind & ~again, misses, answer, freest)
 
     # ----------------------------------------------------------------------------------------------------------------
     # Where lanes start
@@ -254,27 +255,31 @@ class _Search:
             return lane
         return lane._replace(q=refinement.turned_inside(circles, self.shared.low, self.shared.high, lane.q))
 
-    def _first(self, lane: Lane, seed: Any, left: Any, rescue: Any, blind: Any) -> tuple[Answer, Any, Lane]:
-        """The first of the lanes that are `left`, by the numbers of their seeds, whose finish is an answer; whether, where it
-        goes blind, the first that has the pose hits something; and the lanes, those that were finished in vain where that left
-        them."""
+    def _first(self, lane: Lane, seed: Any, left: Any, rescue: Any, before: _Turn) -> tuple[Answer, Answer, Any, Lane]:
+        """The first of the lanes that are `left`, by the numbers of their seeds, whose finish is an answer; the freest that is
+        none; whether, where it goes blind, the first that has the pose hits something; and the lanes, those that were finished
+        in vain where that left them."""
         steps = jnp.where(rescue, refinement.RESCUE, refinement.FINISHING)
         creep = jnp.where(rescue & self.races, refinement.CREEP, jnp.inf)
         rank = seed.astype(jnp.float64)
 
         def turn(state: Any) -> Any:
-            left, lane, *_ = state
+            left, lane, _, _, freest = state
             (begin, number), mine = self._taken(rank, left, (lane, seed))
             found = self._finished(begin.q, steps, creep)
             found = found._replace(count=found.count + begin.count)
-            clearance, exact, clear = self._judged(found, blind)
+            clearance, exact, clear = self._judged(found, before.blind)
             answer = Answer(*found[:3], clearance, jnp.where(exact & clear, number, NOBODY), found.count)
-            vain = lambda new, old: jnp.where(mine & ~exact, new, old)
-            return left & ~mine, jax.tree_util.tree_map(vain, found, lane), blind & exact & ~clear, answer
+            if self.setup.ends and self.setup.clear:  # else nobody asks
+                freer = exact & ~clear & ~(clearance <= freest.clearance)  # than nothing, too
+                freest = _either(freer, answer._replace(q=self._at_home(answer.q)), freest)
+            lane = _either(mine & ~exact, found, lane)
+            return left & ~mine, lane, before.blind & exact & ~clear, answer, freest
 
         going = lambda state: _any(state[0]) & (state[3].number == NOBODY) & ~state[2]
-        _, lane, hits, answer = lax.while_loop(going, turn, (left, lane, jnp.bool_(False), self._nothing()))
-        return answer._replace(q=self._at_home(answer.q)), hits, lane
+        begin = left, lane, jnp.bool_(False), self._nothing(), before.freest
+        _, lane, hits, answer, freest = lax.while_loop(going, turn, begin)
+        return answer._replace(q=self._at_home(answer.q)), freest, hits, lane
 
     def _at_home(self, q: Any) -> Any:
         return nearest_turns(self.setup.robot, q, self.target.home, self.shared.low, self.shared.high)
@@ -324,6 +329,11 @@ def _wide(lane: Lane) -> Lane:
     return lane._replace(
         q=lane.q.astype(jnp.float64), away=lane.away.astype(jnp.float64), turned=lane.turned.astype(jnp.float64)
     )
+
+
+def _either(first: Any, tree: Any, other: Any) -> Any:
+    """The first tree where it is told so, else the other."""
+    return jax.tree_util.tree_map(lambda a, b: jnp.where(first, a, b), tree, other)
 
 
 def _any(x: Any) -> Any:

@@ -8,10 +8,11 @@ import numpy as np
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import check_kind, shown
+from jaxik.collision.contact_report import standing_words
 from jaxik.collision.scene import Scene
 from jaxik.ik.direct import Direct
 from jaxik.ik.options import IKOptions
-from jaxik.ik.remembered import as_pose, direct_problem
+from jaxik.ik.remembered import as_pose, direct_problem, in_scene
 from jaxik.ik.result import IKResult
 from jaxik.ik.solve import solve_ik
 from jaxik.kinematics.robot import Robot
@@ -52,8 +53,10 @@ class Solver:
 
     def update(self, scene: Scene | None) -> None:
         """Changes the world, for calls that begin after this one. A scene of the same kinds of solids, about as many, compiles
-        nothing."""
-        self._world = _World(self.robot, scene, self.seed, self.options)
+        nothing; one that was made of another by `Scene.moved` or `Scene.without` is taken in microseconds."""
+        before = getattr(self, "_world", None)
+        after = None if before is None or scene is None else before.within(scene)
+        self._world = after or _World(self.robot, scene, self.seed, self.options)
 
     def __call__(self, target: Any, posture: Any = None) -> IKResult:
         """Returns the answer for a target, or the reason why there is none; as `solve_ik(robot, target)`.
@@ -83,6 +86,21 @@ class _World:
         self._options = options
         self.direct = self._made(options)
         self._near: tuple[Direct | None, IKOptions] | None = None
+
+    def within(self, scene: Scene) -> _World | None:
+        """The programs of this world in another scene; None where that one has another form, or is to be looked at first."""
+        robot, _, seed = self._asked
+        if self.direct is None or not scene.concrete or standing_words(robot, scene, self._options.margin):
+            return None
+        other: _World = object.__new__(_World)
+        vars(other).update(vars(self), scene=scene, _asked=(robot, scene, seed))
+        try:
+            other.direct = in_scene(self.direct, scene)
+            if self._near is not None and self._near[0] is not None:
+                other._near = in_scene(self._near[0], scene), self._near[1]
+        except Unsupported:
+            return None
+        return other
 
     def near(self, posture: np.ndarray) -> tuple[Direct | None, IKOptions]:
         """The programs of a search near a posture, and its options."""

@@ -116,6 +116,11 @@ def bodies(scene: Scene | None) -> dict[str, Body]:
             name = scene.object_names[owners[rows[0]]] if owners[rows[0]] >= 0 else ""
             key = hashed((kind, name), [x[rows] for x in fields.values()])[:32]
             found[key] = Body(name, np.stack([low[rows].min(axis=0), high[rows].max(axis=0)]))
+    for cloud in scene.clouds:
+        if len(points := cloud.points):
+            key = hashed(("cloud", cloud.name), [points, np.asarray(cloud.radius)])[:32]
+            low, high = points.min(axis=0, keepdims=True), points.max(axis=0, keepdims=True)
+            found[key] = Body(cloud.name, np.concatenate([low - cloud.radius, high + cloud.radius]))
     return found
 
 

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from jaxik.spmd.batch import in_blocks
-from jaxik.spmd.host import HostKernel, as_operand
+from jaxik.spmd.host import HostKernel, Sharing, as_operand
 from jaxik.spmd.program import Unsupported
 from jaxik.spmd.repeated import Row
 
@@ -55,6 +55,7 @@ class Handle:
             if self._form is None:
                 form = _Form.of(self.function, example, shared, self.double)
                 self._kernel = HostKernel(self.function, len(example))
+                self._calls = self._made(form, shared)
                 self._bind(form, shared)
                 self._form = form
 
@@ -76,14 +77,21 @@ class Handle:
             if self._form is not None:
                 self._bind(self._form, shared)
 
-    def _bind(self, form: _Form, shared: tuple[Any, ...]) -> None:
-        """Makes what is called."""
+    def _made(self, form: _Form, shared: tuple[Any, ...]) -> tuple[Sharing, ...]:
+        """The calls of the kernel, leafwise and in the result's own form; none where there is no kernel."""
         one = functools.partial(self._kernel.one, *form.example, *shared, double=self.double)
         try:
-            leafwise = one()
-            run = one(form=form.direct) if form.direct is not list else form.by_trees(leafwise)
+            return (one(), one(form=form.direct)) if form.direct is not list else (one(),)
         except Unsupported:
-            leafwise, run = functools.partial(self._by_xla, shared), _unknown
+            return ()
+
+    def _bind(self, form: _Form, shared: tuple[Any, ...]) -> None:
+        """Makes what is called."""
+        calls = [call(0, jax.tree_util.tree_leaves(shared)) for call in self._calls]
+        leafwise: Callable[..., Any] = functools.partial(self._by_xla, shared)
+        run: Callable[..., Any] = _unknown
+        if calls:
+            leafwise, run = calls[0], calls[1] if len(calls) > 1 else form.by_trees(calls[0])
         self._shared, self._leafwise, self._run = shared, leafwise, run
 
     def _looked_at(self, args: tuple[Any, ...], out: Any) -> Any:

@@ -8,9 +8,9 @@ from __future__ import annotations
 import functools
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -20,7 +20,7 @@ from jaxik.platforms import after_fork
 from jaxik.spmd import call
 from jaxik.spmd.primitive import rows_by_xla
 from jaxik.spmd.program import Unsupported
-from jaxik.spmd.repeated import Row, repeated, words
+from jaxik.spmd.repeated import Repeated, Row, words
 from jaxik.spmd.trace import trace
 from jaxik.spmd.trace_records import Record, keep, recalled, record_name
 
@@ -89,21 +89,26 @@ class HostKernel:
         arguments, or of the first that are `given`, where the others stay as they are here; of the shapes of these, at which it
         does not look. Its results are new arrays, or `out`, arrays like them; a call with `out` allocates nothing. Threads may
         share it. Raises as `run` does."""
+        return self.shared_by(*args, double=double, given=given)()
+
+    def shared_by(self, *args: Any, double: bool | None = None, given: int | None = None) -> Sharing:
+        """The same for arguments behind the `given` ones that change now and then. Raises as `run` does."""
         made, operands, outs, count = self._prepared(args, double)
         given = len(jax.tree_util.tree_leaves(args)) if given is None else given
-        shared = [np.array(x) for x in operands[given:]]
         rows = [Row(x.shape, x.dtype) for x in outs]
-        return repeated(made.work, operands[:given], shared, rows, count=count, vectors=-(-count // made.width))
+        calls = Repeated(made.work, operands[:given], rows, count=count, vectors=-(-count // made.width))
+        return Sharing(calls, [np.array(x) for x in operands[given:]])
 
-    def one(self, *args: Any, double: bool, form: Any = list) -> Callable[..., Any]:
-        """`repeated` for one configuration, from the leaves of its first `lanes` arguments, without the axis of rows, to the
-        results in a `form`, as `repeated.repeated` has it; the other arguments stay as they are. It looks at shapes and types:
-        see there what it raises."""
+    def one(self, *args: Any, double: bool, form: Any = list) -> Sharing:
+        """`shared_by` for one configuration, from the leaves of its first `lanes` arguments, without the axis of rows, to the
+        results in a `form`, as `Repeated` has it; the other arguments are shared. It looks at shapes and types: see there what
+        it raises."""
         rows = jax.tree_util.tree_map(lambda x: np.asarray(x)[None], args[: self.lanes])
         made, operands, outs, _ = self._prepared((*rows, *args[self.lanes :]), double)
         leaves = len(jax.tree_util.tree_leaves(rows))
-        shared, results = [np.array(x) for x in operands[leaves:]], [Row(x.shape[1:], x.dtype) for x in outs]
-        return repeated(made.work, [x[0] for x in operands[:leaves]], shared, results, checked=True, form=form)
+        results = [Row(x.shape[1:], x.dtype) for x in outs]
+        calls = Repeated(made.work, [x[0] for x in operands[:leaves]], results, checked=True, form=form)
+        return Sharing(calls, [np.array(x) for x in operands[leaves:]])
 
     def knows(self, *args: Any, double: bool) -> bool:
         """Whether the kernel for such arguments has been made in this process."""
@@ -171,6 +176,23 @@ class HostKernel:
         if name is not None:
             keep(name, Record(traced.digest, traced.outputs, arrays))
         return traced.outputs, made, arrays
+
+
+class Sharing(NamedTuple):
+    """`HostKernel.repeated`, before it is bound to what all its calls share."""
+
+    calls: Repeated
+    shared: list[np.ndarray]
+
+    def __call__(self, first: int = 0, others: Sequence[Any] = ()) -> Callable[..., list[np.ndarray]]:
+        """The repeated call, with `others` instead of as many shared arrays from the `first` on. Raises `Unsupported` where
+        these have other shapes."""
+        before = self.shared[first : first + len(others)]
+        fits = lambda x, old: isinstance(x, np.ndarray) and x.dtype is old.dtype and x.flags.c_contiguous
+        given = [x if fits(x, old) else as_operand(x, old.dtype) for x, old in zip(others, before, strict=True)]
+        if any(x.shape != old.shape or x.dtype != old.dtype for x, old in zip(given, before, strict=True)):
+            raise Unsupported("arrays of other shapes")
+        return self.calls.bound([*self.shared[:first], *given, *self.shared[first + len(given) :]])
 
 
 def host_kernels(lanes: int, known: int = 64) -> Callable[[Callable[..., Any]], Callable[..., HostKernel]]:

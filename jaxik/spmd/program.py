@@ -135,7 +135,7 @@ class Whole(NamedTuple):
     after: int
 
 
-_COMMUTE = ("add", "mul", "and", "or", "xor", "eq", "ne")
+COMMUTE = ("add", "mul", "and", "or", "xor", "eq", "ne")
 
 
 class Program:
@@ -175,7 +175,7 @@ class Program:
 
     def op(self, code: str, type: str, *args: Any) -> int:
         """The value of an operation on values, folded where it can be; of tangents, only if the same was not asked exactly."""
-        ordered = args[::-1] if code in _COMMUTE and args[1] < args[0] else args  # so that `b a` is known where `a b` is
+        ordered = args[::-1] if code in COMMUTE and args[1] < args[0] else args  # so that `b a` is known where `a b` is
         if self.structural and code in ("add", "sub", "mul", "fdiv"):
             known = self._known(Op(code, type, ordered))
             if known is not None:

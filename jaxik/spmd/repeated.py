@@ -11,6 +11,7 @@ from __future__ import annotations
 import array
 import ctypes
 import functools
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -57,38 +58,52 @@ def words(operands: Sequence[np.ndarray], outs: Sequence[np.ndarray], count: int
     return found
 
 
-def repeated(
-    work: Any,
-    example: Sequence[np.ndarray],
-    shared: Sequence[np.ndarray],
-    results: Sequence[Row],
-    *,
-    count: int = 1,
-    vectors: int = 1,
-    checked: bool = False,
-    form: Any = list,
-) -> Callable[..., Any]:
-    """A function `again(*arrays, out=None)` of arrays like those of the `example`, which gives such `results`: new arrays, or
-    those of `out`, into which they are written. They come in a `form`: `list`, `tuple`, a `NamedTuple` of as many, or None for
-    the only one itself. The kernel reads `shared` behind the arrays, where they lie. The function raises `TypeError` for
-    other numbers of arguments and, `checked`, `TypeError` or `AttributeError` for other shapes or types."""
-    rows, free = [Row(x.shape, x.dtype) for x in example], []  # type: list[Row], list[Any]
+class Repeated:
+    """A kernel for arrays like those of the `example`, which gives such `results`, `bound` to what it shares.
 
-    def block() -> tuple[Any, ...]:
-        arrays = _laid_out([*rows, *results])
-        asked = words([*arrays[: len(rows)], *shared], arrays[len(rows) :], count, vectors, ROUND)
-        return (asked.buffer_info()[0], (asked, shared), *arrays)
+    A bound function `again(*arrays, out=None)` returns new arrays, or those of `out`, into which the results are written. They
+    come in a `form`: `list`, `tuple`, a `NamedTuple` of as many, or None for the only one itself. It raises `TypeError` for
+    other numbers of arguments and, `checked`, `TypeError` or `AttributeError` for other shapes or types.
+    """
 
-    first = block()
-    for x, given in zip(first[2:], example, strict=False):
-        x[...] = given
-    free.append(first)
-    known: dict[str, Any] = {"pop": free.pop, "push": free.append, "block": block, "work": _held(work, first[0]), "form": form}
-    for k, row in enumerate((*rows, *results)):
-        known |= {f"shape{k}": row.shape, f"dtype{k}": row.dtype}
-    brackets = {None: ("", ""), list: ("[", "]"), tuple: ("(", ")")}.get(form, ("form(", ")"))
-    exec(_code(tuple(row.numbers for row in rows), checked, len(results), *brackets), known)
-    return known.pop("again")  # which would hold itself by its names
+    def __init__(
+        self,
+        work: Any,
+        example: Sequence[np.ndarray],
+        results: Sequence[Row],
+        *,
+        count: int = 1,
+        vectors: int = 1,
+        checked: bool = False,
+        form: Any = list,
+    ):
+        self._work, self._example, self._numbers = work, [np.array(x) for x in example], (count, vectors, ROUND)
+        self._rows, self._results = [Row(x.shape, x.dtype) for x in example], list(results)
+        brackets = {None: ("", ""), list: ("[", "]"), tuple: ("(", ")")}.get(form, ("form(", ")"))
+        self._code = _code(tuple(row.numbers for row in self._rows), checked, len(results), *brackets)
+        self._known: dict[str, Any] = {"form": form}
+        for k, row in enumerate((*self._rows, *results)):
+            self._known |= {f"shape{k}": row.shape, f"dtype{k}": row.dtype}
+        self._call: Any = None
+
+    def bound(self, shared: Sequence[np.ndarray]) -> Callable[..., Any]:
+        """The function that reads `shared` behind the arrays, where they lie."""
+        rows, free = self._rows, []  # type: list[Row], list[Any]
+
+        def block() -> tuple[Any, ...]:
+            arrays = _laid_out([*rows, *self._results])
+            asked = words([*arrays[: len(rows)], *shared], arrays[len(rows) :], *self._numbers)
+            return (asked.buffer_info()[0], (asked, shared), *arrays)
+
+        if self._call is None:
+            first = block()
+            for x, given in zip(first[2:], self._example, strict=False):
+                x[...] = given
+            free.append(first)
+            self._call = _held(self._work, first[0])
+        known = self._known | {"pop": free.pop, "push": free.append, "block": block, "work": self._call}
+        exec(self._code, known)
+        return known.pop("again")  # which would hold itself by its names
 
 
 def _held(work: Any, asked: int) -> Any:
@@ -105,7 +120,7 @@ def _held(work: Any, asked: int) -> Any:
 
 def _laid_out(rows: Sequence[Row]) -> list[np.ndarray]:
     """Arrays of zeros, one behind the other in one piece of memory, each from a line of the cache on."""
-    sizes = [-(-row.dtype.itemsize * int(np.prod(row.shape, dtype=int)) // ALIGNED) * ALIGNED for row in rows]
+    sizes = [-(-row.dtype.itemsize * math.prod(row.shape) // ALIGNED) * ALIGNED for row in rows]
     memory = np.zeros(sum(sizes) + ALIGNED, np.uint8)
     place, arrays = -address(memory) % ALIGNED, []
     for row, size in zip(rows, sizes, strict=True):

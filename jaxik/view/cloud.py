@@ -14,10 +14,10 @@ from jaxik.kinematics.robot import Robot
 from jaxik.sweeps.robot_variants import variant_name
 from jaxik.view.drawing import draw_points
 from jaxik.view.palette import SCALE, bar, rgb, swatches
+from jaxik.view.solids import SHOWN
 from jaxik.view.stage import Stage
 from jaxik.view.sweep_picture import Map, base_frame, categories, is_in_base, open_store, variant_label, variant_map
 
-SHOWN = 200_000  # points of a cloud that a browser still turns smoothly
 KINDS = "what became of it"
 SHARE = "share of directions"
 COLUMNS = {SHARE: 1.0, "limit margin": 1.0, "clearance [mm]": 1000.0, "solutions": 1.0}  # by which they grow

@@ -13,6 +13,7 @@ from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.robot import Robot
 from jaxik.spatial.algebra import Frame
 
+SHOWN = 200_000  # points of a cloud that a browser still turns smoothly
 _TURN = 2.0 * np.pi * np.arange(24) / 24
 _RING = np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
 _BOX = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(8, 3)
@@ -72,11 +73,15 @@ def scene_solids(scene: Scene) -> list[Solid]:
 
 
 def scene_points(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """The scene's points (k, 3) [m], those of fields at surfaces, and the names (k,) of the objects that they belong to."""
+    """The scene's points (k, 3) [m], of each cloud at most `SHOWN`, those of fields at surfaces, and the names (k,) of the
+    objects that they belong to."""
     kinds = [*scene.by_kind()]
     points, owners = kinds[0][1:]
     parts = [(np.asarray(points.center, float), owners)]
     parts += [(nodes, np.full(len(nodes), owner)) for nodes, owner in zip(_surfaces(kinds[-1][1]), kinds[-1][2], strict=True)]
+    for cloud in scene.clouds:
+        shown = np.asarray(cloud.points[:: max(1, -(-cloud.count // SHOWN))], float)
+        parts.append((shown, np.full(len(shown), scene.owner(cloud.name))))
     centres, owners = map(np.concatenate, zip(*parts, strict=True))
     here = np.abs(centres).max(axis=1, initial=0.0) <= LIMIT
     return centres[here], _names(scene, owners[here])

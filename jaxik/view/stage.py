@@ -190,7 +190,7 @@ class Stage:
             ("volumes kept clear", palette.VOLUME, self.drawing.volumes.value),
             ("touch, and not checked", palette.LEFT_OUT, self.drawing.left_out),
             ("near a joint's limit", palette.NEAR_LIMIT, self.teleop),
-            ("leaves (points)", palette.LEAF, len(self.around.points.center)),
+            ("leaves (points)", palette.LEAF, len(self.around.points.center) + len(self.around.clouds)),
             ("fruits", palette.FRUIT, self.around.marks),
         )
         self.legend.content = boxed(swatches({words: colour for words, colour, some in there if some}))

@@ -151,7 +151,7 @@ static void says_why_it_holds() {
   const Pose start = pose_at(run.q);
   const Pose away = moved_by(start, 30.0, 0.0, 0.0);
   const Pose none = pose_of({0.4, 0.0, 0.5}, {0.0, 0.0, 0.0, 0.0}), shorter = pose_of({0.4, 0.0, 0.5}, {0.0, 0.0, 0.0, 0.9});
-  holds(run, &away, Reason::not_converged, "a pose out of reach has no answer");
+  holds(run, &away, Reason::out_of_reach, "a pose out of reach has no answer");
   holds(run, &none, Reason::invalid, "a quaternion of 0 is no rotation");
   holds(run, &shorter, Reason::invalid, "nor is one that is far from length 1");
   expect(run.step(&start).reason == Reason::solved, "a pose in reach lets it go on");

@@ -79,6 +79,11 @@ CASES = {
     "a name": (two, (0.0, 0.0), {"name": "2nd"}, "'2nd' is no name that C has free"),
     "a word of C": (two, (0.0, 0.0), {"name": "double"}, "'double' is no name that C has free"),
     "a word of C++": (lambda export: export, (0.0,), {"name": "same"}, "'export' is no name that C has free"),
+    "a word that C reserves": (two, (0.0, 0.0), {"name": "_Two"}, "'_Two' is no name that C has free"),
+    "a function of C": (two, (0.0, 0.0), {"name": "printf"}, "'printf' is taken by C's library; choose another by name="),
+    "mathematics": (two, (0.0, 0.0), {"name": "sinf"}, "'sinf' is taken by C's library; .* such as robot_sinf"),
+    "C's library": (two, (0.0, 0.0), {"name": "m"}, "'m' is taken by C's library"),
+    "words": (two, (0.0, 0.0), {"words": {"typo": "[m]"}}, "two: words tell of 'typo', .*; choose of two, x, y, result"),
     "results": (two, (0.0, 0.0), {"results": ["a", "b"]}, "two: results names 2, and the function has 1"),
     "twice": (two, (0.0, 0.0), {"results": ["x"]}, "two: two arguments or results are called 'x'"),
     "shared": (two, (0.0, 0.0), {"shared": ["z"]}, "two: shared 'z' is no argument; choose of x, y"),
@@ -106,3 +111,19 @@ def test_a_robot_lacks_what_a_function_needs(tmp_path):
         export_robot(jaxik.load("panda"), ["inverse_dynamics"], tmp_path)
     with pytest.raises(ValueError, match="a function 'poses' is not known; choose of pose, jacobian"):
         export_robot(jaxik.load("panda"), ["poses"], tmp_path)
+
+
+def test_a_path_that_is_a_file(tmp_path):
+    file = tmp_path / "taken"
+    file.write_text("mine")
+    for path in (file, file / "inside"):
+        with pytest.raises(ValueError, match=r"two: .*taken is a file; give the path of a folder"):
+            jaxik.export(two, (0.0, 0.0), path)
+    with pytest.raises(ValueError, match=r"panda: .*taken is a file"):
+        export_robot(jaxik.load("panda"), ["pose"], file)
+    assert file.read_text() == "mine"
+
+
+def test_arguments_may_be_called_like_functions(tmp_path):
+    made = jaxik.export(lambda time, y0: time * y0, (0.0, 0.0), tmp_path, name="moved")
+    assert "const float *time" in (tmp_path / "moved.h").read_text() and made.name == "moved"

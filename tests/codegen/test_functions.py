@@ -19,7 +19,7 @@ from jaxik.codegen import TARGETS
 from jaxik.codegen.functions import function_of
 from jaxik.codegen.targets import is_here
 from jaxik.dynamics import inverse_dynamics
-from jaxik.spmd import TEAM, team
+from jaxik.spmd import TEAM, machine, team
 
 HERE = [name for name in TARGETS if name != "wasm32" and is_here(name)]
 ROWS = 1000
@@ -47,6 +47,14 @@ def exported(function, *shapes, **more):
 def kernel_of(function, double, *arrays):
     with jax.enable_x64(double):
         return [np.asarray(x) for x in jax.tree_util.tree_leaves(jax.jit(jax.vmap(jaxik.kernel(function)))(*arrays))]
+
+
+def test_sines_of_all_joints_are_computed_side_by_side(panda, monkeypatch):
+    texts, compiled = [], machine.compiled
+    monkeypatch.setattr(machine, "compiled", lambda text, *a, **k: texts.append(text) or compiled(text, *a, **k))
+    exported(functions(panda[0])["pose_and_jacobian"][0], 7)
+    (row,) = (text.partition("\n}\n")[0] for text in texts if "@exported_row" in text)
+    assert row.count("@llvm.roundeven.v8f32(") == 1 and "@llvm.roundeven.f32(" not in row
 
 
 @pytest.mark.parametrize("double", [False, True])

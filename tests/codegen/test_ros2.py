@@ -95,14 +95,14 @@ def test_c_and_python_follow_alike(built, follower):
         before, sample = q, core.step(t)
         q = sample.posture
         np.testing.assert_array_equal(q, row)
-        assert sample.reason == (Reason.OUT_OF_REACH if reason == Reason.NOT_CONVERGED else reason)
+        assert sample.reason == reason
         assert (np.abs(q - before) <= np.minimum(robot.velocity, 0.5) * PERIOD * (1 + 1e-9)).all()
         if sample.reason == Reason.SOLVED and sample.remaining == 0.0 and told:
             reached += 1
             np.testing.assert_allclose(pose(q), jaxik.pose(told[0], wxyz=np.roll(told[1], 1)), atol=1e-6)
         if sample.reason != Reason.SOLVED:
             np.testing.assert_array_equal(q, before)
-    assert set(reasons) == {0, 4, 101} and reached > 350
+    assert set(reasons) == {0, 1, 101} and reached > 350
 
 
 @built_by_cmake

@@ -211,7 +211,8 @@ def test_the_search_is_a_pure_function(panda, asked):
         found = jax.jit(jax.vmap(find))(jnp.asarray(targets))
     wanted = jaxik.solve_ik(panda, targets, collision=False, **asked)
     assert np.array_equal(found.q[:20], wanted.q[:20]) and np.array_equal(found.seed[:20], wanted.seed[:20])
-    assert list(found.reason[20:]) == [Reason.NOT_CONVERGED, Reason.INVALID] and (found.reason[:20] == Reason.SOLVED).all()
+    assert list(found.reason[20:]) == [Reason.OUT_OF_REACH, Reason.INVALID] and (found.reason[:20] == Reason.SOLVED).all()
+    assert np.isnan(found.q[20:]).all() and (found.seed[20:] == -1).all()
 
 
 def test_the_search_near_a_posture_and_in_a_scene(panda, world):
@@ -225,6 +226,38 @@ def test_the_search_near_a_posture_and_in_a_scene(panda, world):
     assert solved.sum() >= 10 and (np.asarray(clear)[solved] >= -1e-12).all()
     first = wanted.seed < 16
     assert np.array_equal(np.asarray(found.q)[first & wanted.success], wanted.q[first & wanted.success])
+
+
+@pytest.mark.parametrize("among", ["itself", "obstacles"])
+def test_the_search_tells_what_collides(panda, among):
+    """Reasons are those of `solve_ik`, and the clearance is that of the posture, which has the pose."""
+    scene = None if among == "itself" else jaxik.make_scene(spheres=[[*ball[:3], 2.0 * ball[3]] for ball in BALLS])
+    _, targets = poses(panda, 60, seed=8)
+    with jax.enable_x64(True):
+        found = jax.jit(jax.vmap(jaxik.kernel(ik_search(panda, scene=scene))))(jnp.asarray(targets))
+        apart = jax.jit(jax.vmap(lambda q: jaxik.clearance(panda, scene, q)))(found.q)
+    wanted = jaxik.solve_ik(panda, targets, scene=scene)
+    blocked = np.asarray(found.reason) == Reason.COLLISION
+    assert blocked.any() and (found.reason == wanted.reason).mean() > 0.9
+    assert set(wanted.reason[blocked]) <= {Reason.COLLISION, Reason.SOLVED}  # which moves postures out of obstacles, too
+    np.testing.assert_allclose(found.clearance[blocked], apart[blocked], atol=1e-12)
+    assert (found.clearance[blocked] < 0.0).all() and (found.position_error[blocked] < 1e-6).all()
+
+
+def test_the_search_has_no_derivative_but_its_answer_has(panda):
+    _, targets = poses(panda, 1)
+    with jax.enable_x64(True):
+        find, target = ik_search(panda, collision=False), jnp.asarray(targets[0])
+        for searched in (find, jaxik.kernel(find)):
+            with pytest.raises(ValueError, match=r"ik_search: a search has no derivative; .*implicit_ik\(robot, pose, q\)"):
+                jax.grad(lambda x, searched=searched: jnp.sum(searched(target.at[0, 3].add(x)).q))(0.0)
+
+        def reached(x):
+            pose = target.at[0, 3].add(x)
+            q = jaxik.kernel(find)(jax.lax.stop_gradient(pose)).q
+            return jaxik.forward_kinematics(panda, jaxik.implicit_ik(panda, pose, q, collision=False).q)[0, 3]
+
+        assert np.isclose(jax.grad(reached)(0.0), 1.0)
 
 
 def test_the_search_says_what_it_does_not_take(panda):

@@ -21,9 +21,9 @@ using Pose = std::array<double, 16>;          // base_T_tip, row by row; transla
 // Why the arm goes on or holds. Numbers below 100 are those of jaxik.Reason.
 enum class Reason : std::int32_t {
   solved = 0,
-  out_of_reach = 1,   // the Python follower alone tells this and the next; here they are `not_converged`
-  limits = 2,
-  collision = 3,      // the next sample would come closer than the margin to something
+  out_of_reach = 1,   // the target is proven to be
+  limits = 2,         // the Python follower alone tells this; here it is `not_converged`
+  collision = 3,      // what was found, or the next sample, comes closer than the margin to something
   not_converged = 4,  // no posture was found that has the pose
   invalid = 5,        // the target is no pose: NaN, or a quaternion whose length is not 1
   no_posture = 100,   // no fresh joint positions have come
