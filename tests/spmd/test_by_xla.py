@@ -99,7 +99,7 @@ def test_what_stands_outside_of_a_written_out_loop_is_there_in_each_turn(monkeyp
 
 
 def test_many_results_take_several_loops():
-    """As many as one loop of vectors can write, each."""
+    """Each loop has as many as one of vectors can write."""
     found = over(lambda x: (jnp.outer(jnp.sin(x), jnp.arange(60.0)), jnp.cumsum(x)), X)
     close(found, (np.sin(X)[:, :, None] * np.arange(60.0), np.cumsum(X, 1)))
 
