@@ -63,7 +63,7 @@ def _npz(content: bytes) -> np.ndarray:
 def _pcd(content: bytes) -> np.ndarray:
     from pypcd4 import PointCloud
 
-    return np.asarray(PointCloud.from_fileobj(io.BytesIO(content)).numpy(("x", "y", "z")))
+    return np.asarray(PointCloud.from_fileobj(io.BufferedReader(io.BytesIO(content))).numpy(("x", "y", "z")))
 
 
 READERS: dict[str, Callable[[bytes], np.ndarray]] = {

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from meshed_arm import arm_file
+from pypcd4 import Encoding, PointCloud
 from scipy.spatial import cKDTree
 
 import jaxik
@@ -242,6 +243,14 @@ def test_files_give_it_back(tmp_path):
     for name, words in (("a.txt", "ending '.txt'"), ("whole.npy", "write floats"), ("none.npy", "check the path")):
         with pytest.raises(ValueError, match=words):
             jaxik.files.load_cloud(tmp_path / name)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
+def test_points_of_pcd_are_read(tmp_path, encoding):
+    points = SPREAD[:100].astype(np.float32)
+    points[7] = np.nan
+    PointCloud.from_xyz_points(points).save(tmp_path / "a.pcd", encoding=Encoding(encoding))
+    np.testing.assert_array_equal(jaxik.files.load_cloud(tmp_path / "a.pcd"), points)
 
 
 def test_what_is_no_cloud_is_refused():
