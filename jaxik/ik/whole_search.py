@@ -78,7 +78,7 @@ def ik_search(
 
     @jax.custom_jvp
     def find(pose: Any, posture: Any = None) -> SearchedIK:
-        pose = as_numbers("pose", pose, (4, 4))
+        pose = as_numbers("pose", pose, (4, 4)).astype(jnp.result_type(float))
         home = target.home[0] if posture is None else as_configuration(named, posture)
         given, valid = rigid_pose(pose)
         tolerance = target.tolerance[0]

@@ -209,7 +209,9 @@ def test_the_search_is_a_pure_function(panda, asked):
     with jax.enable_x64(True):
         find = jaxik.kernel(ik_search(panda, collision=False, **asked))
         found = jax.jit(jax.vmap(find))(jnp.asarray(targets))
+        narrow = jax.jit(jax.vmap(find))(jnp.asarray(targets[:20], np.float32))
     wanted = jaxik.solve_ik(panda, targets, collision=False, **asked)
+    assert (narrow.reason == Reason.SOLVED).all() and narrow.q.dtype == np.float64
     assert np.array_equal(found.q[:20], wanted.q[:20]) and np.array_equal(found.seed[:20], wanted.seed[:20])
     assert list(found.reason[20:]) == [Reason.OUT_OF_REACH, Reason.INVALID] and (found.reason[:20] == Reason.SOLVED).all()
     assert np.isnan(found.q[20:]).all() and (found.seed[20:] == -1).all()
