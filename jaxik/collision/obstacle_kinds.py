@@ -140,8 +140,8 @@ class Fields(Kind):
 
     @classmethod
     def none(cls) -> Fields:
-        """No field at all."""
-        return cls(np.zeros((0, 4, 4)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 0), np.float32))
+        """No field at all, in arrays that take a shift (3,) of all places of a scene, as those of other kinds do."""
+        return cls(np.zeros((0, 4, 4)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 3), np.float32))
 
     def and_(self, more: Fields) -> Fields:
         """These and more."""
