@@ -23,7 +23,7 @@ def clouds_markdown(result: dict[str, Any]) -> str:
     for width in ("float32", "float64"):
         found = checked[width]
         same = f"{found['same_bits']:,} of {checked['cases']:,} random cases have the bits of a search through all points"
-        lines += ["", f"In {width} {same}; at most {found['most_ulp']:g} units in the last place off."]
+        lines += ["", f"In {width} {same}, which rounds in another order; the others are {found['most_m']:.1g} m off at most."]
     if plans := result.get("planned"):
         p50 = f"{told(plans['cloud_p50_s'])} and {told(plans['solids_p50_s'])} (p50)"
         solved = f"{plans['solved_cloud']} and {plans['solved_solids']}"
