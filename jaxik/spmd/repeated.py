@@ -85,6 +85,7 @@ class Repeated:
         for k, row in enumerate((*self._rows, *results)):
             self._known |= {f"shape{k}": row.shape, f"dtype{k}": row.dtype}
         self._call: Any = None
+        self._free: list[Any] = []  # the blocks of what was bound last
 
     def bound(self, shared: Sequence[np.ndarray]) -> Callable[..., Any]:
         """The function that reads `shared` behind the arrays, where they lie."""
@@ -95,15 +96,27 @@ class Repeated:
             asked = words([*arrays[: len(rows)], *shared], arrays[len(rows) :], *self._numbers)
             return (asked.buffer_info()[0], (asked, shared), *arrays)
 
+        free.append(self._spare(shared) or block())
         if self._call is None:
-            first = block()
-            for x, given in zip(first[2:], self._example, strict=False):
+            for x, given in zip(free[0][2:], self._example, strict=False):
                 x[...] = given
-            free.append(first)
-            self._call = _held(self._work, first[0])
+            self._call = _held(self._work, free[0][0])
+        self._free = free
         known = self._known | {"pop": free.pop, "push": free.append, "block": block, "work": self._call}
         exec(self._code, known)
         return known.pop("again")  # which would hold itself by its names
+
+    def _spare(self, shared: Sequence[np.ndarray]) -> tuple[Any, ...] | None:
+        """A block of what was bound last, if it has one that nobody uses, with the addresses of what is shared now."""
+        try:
+            address_of_words, (asked, before), *arrays = self._free.pop()
+        except IndexError:
+            return None
+        first = FIRST + 2 * len(self._rows)
+        for k, (x, old) in enumerate(zip(shared, before, strict=True)):
+            if x is not old:
+                asked[first + 2 * k] = address(x)
+        return (address_of_words, (asked, shared), *arrays)
 
 
 def _held(work: Any, asked: int) -> Any:
