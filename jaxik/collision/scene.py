@@ -218,7 +218,7 @@ class Scene(Constant):
 
         All points `p` of what moves become `pose @ p`, with marks. So an object that was built about the origin, of the scene
         that holds it there, stands at its pose (4, 4); the poses of several may be (k, 4, 4). Nothing compiles anew, and trees
-        of obstacles are not built anew but fitted: where a few objects move again and again, that takes microseconds.
+        of obstacles are not built anew but fitted, where a few objects move again and again.
 
         Raises `ValueError` for what is no rigid frame, and an object that is not there.
         """

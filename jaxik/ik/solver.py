@@ -53,7 +53,7 @@ class Solver:
 
     def update(self, scene: Scene | None) -> None:
         """Changes the world, for calls that begin after this one. A scene of the same kinds of solids, about as many, compiles
-        nothing; one that was made of another by `Scene.moved` or `Scene.without` is taken in microseconds."""
+        nothing; one that was made of the last by `Scene.moved` or `Scene.without` takes a thirtieth of the time."""
         before = getattr(self, "_world", None)
         after = None if before is None or scene is None else before.within(scene)
         self._world = after or _World(self.robot, scene, self.seed, self.options)
