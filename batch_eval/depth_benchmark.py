@@ -9,14 +9,13 @@ and writes `batch_eval/depth_benchmark.json`.
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 import jax
-import mujoco
 import numpy as np
-from race import Entry, clocked, machine, race
+from peers.mujoco_rays import Rays, looking
+from race import Entry, clocked, in_parts, machine, race
 
 from jaxik import fields, sensing
 
@@ -35,42 +34,6 @@ CAMERA = sensing.Camera(640, 480, 560.0, 560.0, 319.5, 239.5, near=0.1, far=4.0)
 PLACES = ([-0.4, 0.5, 0.9], [0.1, -0.9, 0.9], [0.6, 0.4, 1.3])
 LOW, SPACING, VOXELS = np.array([-0.2, -0.64, -0.1]), 0.01, 128
 POINTS = 1_000_000  # in free voxels
-
-
-class Cell:
-    """The cell's rays."""
-
-    def __init__(self) -> None:
-        self.model = mujoco.MjModel.from_xml_string(CELL)
-        self.data = mujoco.MjData(self.model)
-        mujoco.mj_forward(self.model, self.data)
-
-    def reach(self, place: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """How far it is along unit vectors (k, 3) to the first surface [m]."""
-        count = len(directions)
-        which, apart = np.full((count, 1), -1, np.int32), np.full((count, 1), -1.0)
-        flat = np.ascontiguousarray(directions.reshape(-1, 1))
-        ask = self.model, self.data, place.reshape(3, 1), flat, None, True, -1, which, apart, None, count, 1e3
-        mujoco.mj_multiRay(*ask)
-        return np.where(apart[:, 0] >= 0.0, apart[:, 0], np.inf)
-
-    def depth(self, pose: np.ndarray) -> np.ndarray:
-        """The depth image from a pose."""
-        u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
-        local = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1).reshape(-1, 3)
-        long = np.linalg.norm(local, axis=1)
-        return (self.reach(pose[:3, 3].copy(), local @ pose[:3, :3].T / long[:, None]) / long).reshape(u.shape)
-
-
-def looking(place: Any) -> np.ndarray:
-    """The pose of a camera that looks at the middle of the cell."""
-    z = np.array([0.6, 0.0, 0.15]) - place
-    z /= np.linalg.norm(z)
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = np.stack([x, np.cross(z, x), z], axis=1), place
-    return pose
 
 
 class InNumPy:
@@ -126,7 +89,7 @@ def fusion(images: list[np.ndarray], poses: list[np.ndarray]) -> dict[str, float
     return {"off_m": float(np.quantile(off, 0.999)), "others": float(np.mean(off > 1e-4))}
 
 
-def judged(cell: Cell, images: list[np.ndarray], poses: list[np.ndarray]) -> dict[str, Any]:
+def judged(cell: Rays, images: list[np.ndarray], poses: list[np.ndarray]) -> dict[str, Any]:
     """Points in free voxels that no camera's ray comes to, and points that were seen beyond the fields' bounds."""
     grid = sensing.Occupancy.unseen_box(LOW, LOW + VOXELS * SPACING, spacing=SPACING)
     for image, pose in zip(images, poses, strict=True):
@@ -138,7 +101,7 @@ def judged(cell: Cell, images: list[np.ndarray], poses: list[np.ndarray]) -> dic
     for pose in poses:
         rays = some - pose[:3, 3]
         long = np.linalg.norm(rays, axis=1)
-        seen |= cell.reach(pose[:3, 3].copy(), rays / long[:, None]) > long
+        seen |= cell.rays(pose[:3, 3].copy(), rays / long[:, None]) > long
     every = np.concatenate([CAMERA.points(i, p).reshape(-1, 3) for i, p in zip(images, poses, strict=True)])
     every = every[np.all((every > LOW) & (every < LOW + VOXELS * SPACING), axis=1)]
     at = lambda f, field: np.asarray(jax.jit(jax.vmap(f, (None, 0)))(field, every.astype(np.float32)))
@@ -161,18 +124,15 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
     arguments = parser.parse_args()
-    cell, poses = Cell(), [looking(np.array(place)) for place in PLACES]
-    images, rendering = clocked(lambda: [cell.depth(pose) for pose in poses])
+    cell, poses = Rays(CELL), [looking(np.array(place)) for place in PLACES]
+    images, rendering = clocked(lambda: [cell.depth(pose, CAMERA) for pose in poses])
     result: dict[str, Any] = {"machine": machine(), "rays_s": rendering}
     parts = {
         "ms": lambda: times(images, poses, arguments.rounds),
         "fusion": lambda: fusion(images, poses),
         "judged": lambda: judged(cell, images, poses),
     }
-    for name, part in parts.items():
-        result[name] = part()
-        print(name, json.dumps(result[name]), flush=True)
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
+    in_parts(parts, result, arguments.out)
 
 
 if __name__ == "__main__":

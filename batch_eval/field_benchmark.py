@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ import numpy as np
 import trimesh
 from mesh_benchmark import Judge, scene, tube
 from peers.panda import ROBOTS, TIP
-from race import Entry, clocked, machine, race
+from race import Entry, clocked, in_parts, machine, race
 from scipy.ndimage import map_coordinates
 
 import jaxik
@@ -161,10 +160,7 @@ def main() -> None:
         "bounds": lambda: bounds(field, judge, arguments.points),
         "certificates": lambda: certificates(robot, field, judge, arguments.motions),
     }
-    for name, part in parts.items():
-        result[name] = part()
-        print(name, json.dumps(result[name]), flush=True)
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
+    in_parts(parts, result, arguments.out)
 
 
 if __name__ == "__main__":

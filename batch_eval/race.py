@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.metadata
+import json
 import os
 import platform
 import subprocess
@@ -147,6 +148,14 @@ def steps(tell: Callable[[int, int], Any] | None, total: int) -> Callable[[], No
             tell(done, total)
 
     return step
+
+
+def in_parts(parts: dict[str, Callable[[], Any]], result: dict[str, Any], out: Path) -> None:
+    """Puts each part into the result, prints it, and writes all as JSON."""
+    for name, part in parts.items():
+        result[name] = part()
+        print(name, json.dumps(result[name]), flush=True)
+    out.write_text(json.dumps(result, indent=1) + "\n")
 
 
 def machine() -> dict[str, Any]:

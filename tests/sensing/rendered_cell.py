@@ -2,6 +2,7 @@
 
 import mujoco
 import numpy as np
+from peers.mujoco_rays import Rays, looking
 
 import jaxik
 from jaxik.sensing import Camera
@@ -18,46 +19,17 @@ CELL = """
 </mujoco>
 """
 CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5, near=0.1, far=4.0)
-MIDDLE = np.array([0.6, 0.0, 0.15])
-
-
-def looking(place, at=MIDDLE):
-    """The pose of a camera at a place that looks at another: z ahead, x to the right, y down."""
-    z = (at - place) / np.linalg.norm(at - place)
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = np.stack([x, np.cross(z, x), z], axis=1), place
-    return pose
-
-
 POSES = [looking(np.array(p)) for p in ([-0.4, 0.5, 0.9], [0.1, -0.9, 0.9], [0.6, 0.4, 1.3])]
 
 
-class Cell:
+class Cell(Rays):
     """Bodies of boxes, cylinders and ellipsoids."""
 
     def __init__(self, xml=CELL):
-        self.model = mujoco.MjModel.from_xml_string(xml)
-        self.data = mujoco.MjData(self.model)
-        mujoco.mj_forward(self.model, self.data)
-
-    def rays(self, place, directions):
-        """How many of each direction (k, 3) it is from a place to the first surface; infinite without one."""
-        count = len(directions)
-        which, apart = np.full((count, 1), -1, np.int32), np.full((count, 1), -1.0)
-        flat = np.ascontiguousarray(directions.reshape(-1, 1))
-        ask = self.model, self.data, place.reshape(3, 1), flat, None, True, -1, which, apart, None, count, 1e3
-        mujoco.mj_multiRay(*ask)
-        return np.where(apart[:, 0] >= 0.0, apart[:, 0], np.inf)
+        super().__init__(xml)
 
     def depth(self, pose, camera=CAMERA):
-        """The depth image of a camera at a pose."""
-        u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-        local = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1).reshape(-1, 3)
-        world = local @ pose[:3, :3].T
-        apart = self.rays(pose[:3, 3].copy(), world / np.linalg.norm(world, axis=1, keepdims=True))
-        return (apart / np.linalg.norm(local, axis=1)).reshape(camera.height, camera.width)
+        return super().depth(pose, camera)
 
     def inside(self, points):
         """Whether points are inside of a body, by the shapes' own equations."""
