@@ -34,7 +34,7 @@ class Prepared(Handle):
         self._robot: Any = next(iter(robots), None)
         fixed = tuple(None if k in scenes else each for k, each in enumerate(models))
         super().__init__(who, functools.partial(_with_scenes, function, fixed, tuple(scenes)), double)
-        around = [grouped_in(models[k], robots[0]) for k in scenes]
+        around = [grouped_in(models[k], robots[0]) for k in scenes]  # and in the forms by which `update` asks for others
         self._around = [grouped_in(models[k], robots[0], forms_of(each)) for k, each in zip(scenes, around, strict=True)]
 
     def __reduce__(self) -> Any:

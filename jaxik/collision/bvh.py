@@ -25,7 +25,7 @@ from jaxik.collision.leaf_rows import FAR, SLACK, Balls
 from jaxik.collision.obstacle_kinds import NODES, SHAPES, SIZES_OF
 from jaxik.collision.own_shape import CLOSE, Own, once, own_shapes, shape_of, told_below
 from jaxik.collision.refit import Groups
-from jaxik.collision.scene import SOLID, Scene, check_scene, remembered, with_zeros
+from jaxik.collision.scene import Scene, check_scene, remembered, with_zeros
 from jaxik.collision.volumes import local_volumes
 from jaxik.kinematics.link_distance_table import PairTable
 from jaxik.kinematics.robot import Robot, geometry_between, solid_links
@@ -192,7 +192,7 @@ def _kept(
     """`_grouped` of a known scene, which keeps it."""
     least = least or tuple((kind, _roomy(kind, count)) for kind, count in scene.room)
     asked = ignored, by_object, dict(least)
-    solids: Groups = remembered(scene, (SOLID, ignored, by_object, least), lambda: _solids(scene, *asked))
+    solids: Groups = remembered(scene, ("solids", ignored, by_object, least), lambda: _solids(scene, *asked))
     if not scene.clouds and not _clouds_among(asked[-1]):
         return solids.found
     clouds: tuple[Obstacles, ...] = remembered(scene, ("clouds", ignored, by_object, least), lambda: _clouds(scene, *asked))
@@ -213,14 +213,14 @@ def _masks(scene: Scene, ignored: tuple[tuple[int, str], ...]) -> np.ndarray:
 
 def _solids(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool, least: dict[str, Form]) -> Groups:
     """All but the clouds; each kind with `least` its form, if it is told, even where none are there."""
-    found = []
+    masks, found = _masks(scene, ignored), []
     for kind, obstacles, owner in scene.by_kind():
         rows = {name: getattr(obstacles, name) for name in SHAPES[kind]}
         if is_known(rows):
             rows = jax.tree_util.tree_map(np.asarray, rows)
         if len(owner) or kind in least:
             form = least.get(kind, Form(1, 0, False))
-            found.append(_obstacles(kind, rows, owner, _masks(scene, ignored), by_object, ignored, form))
+            found.append(_obstacles(kind, rows, owner, masks, by_object, ignored, form))
     return Groups(*zip(*found, strict=True)) if found else Groups((), ())
 
 

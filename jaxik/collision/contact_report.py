@@ -21,6 +21,7 @@ from jaxtyping import Float
 from jaxik.checks.arrays import Array, check_known
 from jaxik.checks.options import as_count, check_finite, check_kind, nearest
 from jaxik.collision import distance
+from jaxik.collision.ball_trees import balls_around
 from jaxik.collision.bvh import balls_of_object, grouped, own_in, pair_tables
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.every_contact import Contact, every_contact
@@ -336,8 +337,8 @@ def _ball_of_fixed(robot: Robot) -> tuple[np.ndarray, float]:
     if not corners:
         return np.zeros(3), -np.inf
     points, radius = (np.concatenate(each) for each in zip(*corners, strict=True))
-    middle = points.mean(axis=0)
-    return middle, float((np.linalg.norm(points - middle, axis=1) + radius).max())
+    ball = balls_around(points[None], radius[None])
+    return ball.center[0], float(ball.radius[0])
 
 
 def _misspelt(robot: Robot, scene: Scene) -> list[str]:

@@ -110,6 +110,7 @@ def _rows(what: str, given: Any, row: Row) -> np.ndarray:
 
 
 def check_count(what: str, count: int) -> None:
+    """Raises `ValueError` for more than `MOST` obstacles."""
     if count > MOST:
         raise ValueError(f"{what}: {count:,} in the scene; at most {MOST:,}; thin them, e.g. to one in a few millimetres")
 
@@ -159,6 +160,7 @@ def in_metres(what: str, values: np.ndarray, sizes: int = 0) -> np.ndarray:
 
 
 def line_of_text(what: str, name: Any) -> str:
+    """`name` as it is. Raises `ValueError` for what is no line of text."""
     if not isinstance(name, str) or name.splitlines() != [name] or not name.strip():
         raise ValueError(f"{what}: the name {shown(repr(name))} is not one line of text; write a word")
     return name

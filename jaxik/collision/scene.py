@@ -41,7 +41,8 @@ SIZES = (0, 8, 32, *(k * 2**n for n in range(5, 14) for k in (2, 3)))
 
 
 class Change(NamedTuple):
-    """An object, by its number, that has moved by a `pose` (4, 4), or out of the way, where that is None."""
+    """An object, by its number, that has moved by a `pose` (4, 4), or out of the way, where that is None; of a cloud only that
+    it is another one."""
 
     object: int
     pose: Any
@@ -188,8 +189,7 @@ class Scene(Constant):
             names, flags = (*self.object_names, name), (*self.removable, True)
             return dataclasses.replace(self, clouds=(*self.clouds, cloud), object_names=names, removable=flags)
         scene = dataclasses.replace(self, clouds=tuple(cloud if each is former else each for each in self.clouds))
-        if (known := getattr(self, "_known", None)) is not None:  # what does not change is not made again
-            object.__setattr__(scene, "_known", {k: x for k, x in known.items() if k == "checked" or k[0] == SOLID})
+        _inherit(self, scene, (Change(self.owner(name), None),))
         return scene
 
     def _index(self, given: Any) -> int:
@@ -352,9 +352,6 @@ class Scene(Constant):
         check_scene(self)
         padded = dataclasses.replace(self, **{kind: _padded(getattr(self, kind)) for kind in KINDS})
         return dataclasses.replace(padded, owners=tuple(tuple(owners.tolist()) for *_, owners in padded.by_kind()))
-
-
-SOLID = "solid"  # begins the names of what is remembered of a scene, and does not hang on its clouds
 
 
 class Before(NamedTuple):

@@ -7,6 +7,7 @@ is answered here has the same bits as there.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -65,8 +66,8 @@ class Direct:
         """The same in other surroundings, for which nothing is compiled. Raises `Unsupported` where these have another form."""
         if self.problem.scene is None or _structure(around) != self._structure:
             raise Unsupported("surroundings of another form")
-        other: Direct = object.__new__(Direct)
-        vars(other).update(vars(self), problem=replaced(self.problem, scene=around))
+        other = copy.copy(self)
+        other.problem = replaced(self.problem, scene=around)
         other._bind(around)
         return other
 

@@ -62,9 +62,11 @@ def direct_problem(robot: Robot, scene: Scene | None, seed: int, options: IKOpti
     return problem if is_direct(problem) else None
 
 
-def in_scene(direct: Direct, scene: Scene) -> Direct:
-    """The programs in another scene. Raises `Unsupported` where that has another form."""
+def in_scene(direct: Direct, robot: Robot, scene: Scene) -> Direct:
+    """The programs in another scene. Raises `Unsupported` where that has another form, or something to warn of."""
     problem = direct.problem
+    if not scene.concrete or standing_words(robot, scene, problem.options.margin):
+        raise Unsupported("a scene that is to be looked at first")
     return direct.within(problem.asked(grouped(scene, problem.robot)))
 
 
@@ -80,9 +82,9 @@ class _Place:
     def look(self, calls: int, scene: Scene | None, seed: int, options: IKOptions, like: Direct | None) -> None:
         """Finds the programs, where they are there, or has them made for one who calls often. They may be those `like` others,
         of another scene."""
-        if like is not None and scene is not None and not standing_words(self.robot, scene, options.margin):
+        if like is not None and scene is not None:
             with contextlib.suppress(Unsupported):
-                self.direct, self.settled = in_scene(like, scene), True
+                self.direct, self.settled = in_scene(like, self.robot, scene), True
                 return
         problem = direct_problem(self.robot, scene, seed, options)
         if problem is None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import check_kind, shown
-from jaxik.collision.contact_report import standing_words
 from jaxik.collision.scene import Scene
 from jaxik.ik.direct import Direct
 from jaxik.ik.options import IKOptions
@@ -89,15 +89,15 @@ class _World:
 
     def within(self, scene: Scene) -> _World | None:
         """The programs of this world in another scene; None where that one has another form, or is to be looked at first."""
-        robot, _, seed = self._asked
-        if self.direct is None or not scene.concrete or standing_words(robot, scene, self._options.margin):
+        if self.direct is None:
             return None
-        other: _World = object.__new__(_World)
-        vars(other).update(vars(self), scene=scene, _asked=(robot, scene, seed))
+        robot, _, seed = self._asked
+        other = copy.copy(self)
+        other.scene, other._asked = scene, (robot, scene, seed)
         try:
-            other.direct = in_scene(self.direct, scene)
+            other.direct = in_scene(self.direct, robot, scene)
             if self._near is not None and self._near[0] is not None:
-                other._near = in_scene(self._near[0], scene), self._near[1]
+                other._near = in_scene(self._near[0], robot, scene), self._near[1]
         except Unsupported:
             return None
         return other
