@@ -12,7 +12,7 @@ import numpy as np
 from jaxik.checks.arrays import is_rigid, numbers
 from jaxik.checks.options import check_kind, check_seed, shown
 from jaxik.collision.clearances import check_geometry
-from jaxik.collision.scene import Scene
+from jaxik.collision.scene import Scene, check_scene, remembered
 from jaxik.kinematics.forward import as_posture
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
@@ -163,6 +163,7 @@ class Replanner:
         if scene is None:
             return False
         own = replaced(scene)
+        remembered(own, "checked", lambda: remembered(scene, "checked", lambda: check_scene(scene)))
         world, before = World(self.robot, own), self._space.world
         if jax.tree_util.tree_structure(world.around) != jax.tree_util.tree_structure(before.around):
             raise ValueError(
