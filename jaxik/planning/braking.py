@@ -34,7 +34,7 @@ SURE = 0.995  # share of the limits that the others may use where they are looke
 class Brake(NamedTuple):
     """A law tau(u) of a motion's time that begins at `start` [s] at the rate 1 and ends at rest. The rate's fall steepens for
     `ramp` [s] until it is `slope` [1/s], stays so for `level` [s], and flattens as it steepened; without a limit of jerk the
-    ramp is 0. Of one braking, or of many, each field with their axes.
+    ramp is 0. Each field has the axes of the brakings, which may be many.
     """
 
     start: np.ndarray
@@ -73,7 +73,7 @@ class Brake(NamedTuple):
         return Brake(self.start, self.ramp / times, self.level / times, self.slope * times)
 
     def motion(self, trajectory: Trajectory, u: np.ndarray) -> Motion:
-        """What the joints do at u (i,) [s] after the beginning of one braking; `time` is u. Host."""
+        """The joints at u (i,) [s] after the beginning of one braking; `time` is u. Host."""
         tau, first, second, _ = self.rates(u)
         own = trajectory.at_times(tau)
         first, second = first[:, None], second[:, None]
