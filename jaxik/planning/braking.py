@@ -18,7 +18,7 @@ the delay behind the motion that goes on is half of the time that the braking la
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -58,15 +58,16 @@ class Brake(NamedTuple):
         u = np.clip(u, 0.0, self.lasts)
         since, left = u - ramp, self.lasts - u
         jerk = np.divide(slope, ramp, out=np.zeros_like(slope + ramp), where=ramp > 0.0)
-        phase = [u < ramp, left > ramp, left > 0.0]  # the first that holds
-        nothing = np.zeros_like(u)
+        steepens, falls, brakes = u < ramp, left > ramp, left > 0.0  # the first that holds
+
+        def phased(one: Any, two: Any, three: Any, rest: Any) -> np.ndarray:
+            return np.where(steepens, one, np.where(falls, two, np.where(brakes, three, rest)))
+
         begun, fallen = ramp - slope * ramp**2 / 6.0, 1.0 - 0.5 * slope * ramp  # where the ramp ends
-        tau = [u - jerk * u**3 / 6.0, begun + (fallen - 0.5 * slope * since) * since, 0.5 * self.lasts - jerk * left**3 / 6.0]
-        first = [1.0 - 0.5 * jerk * u**2, fallen - slope * since, 0.5 * jerk * left**2]
-        second = [-jerk * u, nothing - slope, -jerk * left]
-        third = [nothing - jerk, nothing, nothing + jerk]
-        tau = np.select(phase, tau, 0.5 * self.lasts)
-        return start + tau, *(np.select(phase, each, 0.0) for each in (first, second, third))
+        half = 0.5 * self.lasts
+        tau = phased(u - jerk * u**3 / 6.0, begun + (fallen - 0.5 * slope * since) * since, half - jerk * left**3 / 6.0, half)
+        first = phased(1.0 - 0.5 * jerk * u**2, fallen - slope * since, 0.5 * jerk * left**2, 0.0)
+        return start + tau, first, phased(-jerk * u, -slope, -jerk * left, 0.0), phased(-jerk, 0.0, jerk, 0.0)
 
     def quicker(self, times: np.ndarray) -> Brake:
         """The same in a shorter time, as many `times` as quick."""
