@@ -11,13 +11,13 @@ log replayed. Prints, and writes `batch_eval/replan_benchmark.json`. Needs `pip 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from peers.collision_peers import CoalOfVolumes
 from race import machine
 
 import jaxik
+from jaxik.reasons import Reason
 from jaxik.replanning import Command, Event
 
 RATE, SAMPLE = 30.0, 1e-3  # updates [1/s]; set points [s]
@@ -36,13 +37,14 @@ LOW, HIGH = np.array([0.2, -0.7, 0.05]), np.array([0.8, 0.7, 0.9])  # of the pla
 HOME = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.8])
 PATIENCE = 0.5  # [s] that the arm stands blocked before it is given another goal
 ANYWHERE = 0.25  # share of things that may be anywhere over the table; the others are near the arm's coming way
+MEASURED = 11  # set points of which one is measured, beside being asked whether it hits
 TRIES = 200  # places that are drawn for a thing, before it is left out
 
 
 def table() -> jaxik.Scene:
-    """The table, with room for all things."""
-    scene = jaxik.make_scene(boxes=[[0.6, 0.0, -0.06, 0.8, 1.6, 0.1]])
-    return scene.with_room(boxes=THINGS + 1, cylinders=THINGS, spheres=THINGS)
+    """The table, a ball far away that trembles, so that the world is another one in each update, and room for all things."""
+    scene = jaxik.make_scene(boxes=[[0.6, 0.0, -0.06, 0.8, 1.6, 0.1]]).with_("far", spheres=[[0.0, 0.0, 0.0, 0.1]])
+    return scene.with_room(boxes=THINGS + 1, cylinders=THINGS, spheres=THINGS + 1)
 
 
 def thing(rng: np.random.Generator, place: np.ndarray) -> dict[str, Any]:
@@ -65,7 +67,8 @@ class Run:
         self.due = np.sort(self.rng.uniform(0.0, DROPS, THINGS)).tolist()
         self.points: list[np.ndarray] = []
         self.worlds: list[jaxik.Scene] = []
-        self.checks, self.motions, self.events = [], [], []
+        self.events: list[Command] = []
+        self.seconds: dict[str, list[float]] = {"kept": [], "new": [], "tried": []}
         self.blocked, self.left_out, self.goals, self.others = 0, 0, 0, 0
 
     def step(self, number: int) -> Command:
@@ -73,19 +76,24 @@ class Run:
         now = number / RATE
         while self.due and self.due[0] <= now:
             self.drop(now - self.due.pop(0), now)
-        told = dataclasses.replace(self.scene)  # as a camera's is, each time another one
+        trembling = np.eye(4)
+        trembling[:3, 3] = 3.0 + 0.01 * np.sin(number), 0.0, 0.5
+        told = self.scene.moved("far", trembling)
         begin = time.perf_counter()
         command = self.arm.update(now, told)
         seconds = time.perf_counter() - begin
-        planned = command.event in (Event.REPLANNED, Event.STOPPING) and (command.course is not getattr(self, "course", None))
-        (self.motions if planned else self.checks).append(seconds)
-        self.course = command.course
+        kind = "kept" if command.event in (Event.KEPT, Event.ARRIVED) else "new" if self.is_new(command) else "tried"
+        self.seconds[kind].append(seconds)
         self.events.append(command)
         first, last = (int(np.ceil(k / RATE / SAMPLE - 1e-9)) for k in (number, number + 1))
         self.points.append(self.arm.at(SAMPLE * np.arange(first, last)).q)
         self.worlds.append(self.scene)
         self.ask(command)
         return command
+
+    def is_new(self, command: Command) -> bool:
+        """Whether a command has another motion than the one before."""
+        return not self.events or command.course is not self.events[-1].course
 
     def ask(self, command: Command) -> None:
         """Gives another goal where the arm has arrived, or has stood blocked for a while."""
@@ -111,14 +119,10 @@ class Run:
         for _ in range(TRIES):
             kind = thing(self.rng, self.place(now))
             alone = jaxik.make_scene(**kind)
-            if self.coal_of_thing(alone, path) > FREE:
+            if self.coal.clearance(alone, path).min() > FREE:
                 self.scene = self.scene.with_(f"thing {len(self.scene.object_names)}", **kind)
                 return
         self.left_out += 1
-
-    def coal_of_thing(self, alone: jaxik.Scene, path: np.ndarray) -> float:
-        """The least distance of the arm on a path to what is alone in a scene; the arm's to itself counts as well."""
-        return float(CoalOfVolumes.clearance(self.coal, alone, path).min())
 
     def place(self, now: float) -> np.ndarray:
         """A place over the table, or near the coming way of one of the arm's last links."""
@@ -131,25 +135,28 @@ class Run:
 
 def judged(run: Run) -> dict[str, Any]:
     """The hits of a run's set points, by coal, and the greatest shares of the limits, by finite differences."""
-    hits = 0
+    hits, least = 0, np.inf
     for points, world in zip(run.points, run.worlds, strict=True):
         moving = np.r_[True, (np.diff(points, axis=0) != 0.0).any(axis=1)]
         hits += int(run.coal.collides(world, points[moving]).sum())
+        least = min(least, float(run.coal.clearance(world, points[moving][::MEASURED]).min(initial=np.inf)))
     q = np.concatenate(run.points)
     shares = {
         name: float(np.max(np.abs(np.diff(q, order, axis=0)) / SAMPLE**order / np.asarray(FRANKA[name])))
         for order, name in enumerate(("velocity", "acceleration", "jerk"), 1)
     }
-    return {"hits": hits, "set points": len(q), **shares}
+    return {"hits": hits, "least distance": least, "set points": len(q), **shares}
 
 
 def row(run: Run) -> dict[str, Any]:
     """What a run has shown."""
     kinds = [each.event for each in run.events]
     counts = {event.value: kinds.count(event) for event in Event}
-    late = sum(each.late and each.course is not before.course for before, each in zip(run.events, run.events[1:]))
+    late = sum(each.late for each in run.events)
+    refused = Counter(f"{each.refusal.where or 'way'}: {Reason(each.refusal.reason).text}" for each in run.events if each.refusal)
     things = len(run.scene.object_names) - 1
-    return judged(run) | {"things": things, "goals": run.goals, "other goals": run.others, "late": late, "events": counts}
+    found = judged(run) | {"things": things, "goals": run.goals, "other goals": run.others, "late": late}
+    return found | {"events": counts, "refused": dict(refused)}
 
 
 def simulated(robot: jaxik.Robot, seed: int, log: Path | None = None) -> Run:
@@ -191,20 +198,23 @@ def main() -> None:
     if given.child is not None:
         simulated(robot, 0, given.child)
         return
-    rows, checks, motions = [], [], []
+    rows: list[dict[str, Any]] = []
+    seconds: dict[str, list[float]] = {"kept": [], "new": [], "tried": []}
     for seed in range(given.seeds):
         run = simulated(robot, seed)
         rows.append(row(run))
-        checks += run.checks
-        motions += run.motions
+        for kind, some in run.seconds.items():
+            seconds[kind] += some
         print(seed, {name: round(value, 3) if isinstance(value, float) else value for name, value in rows[-1].items()}, flush=True)
     total = {name: sum(each[name] for each in rows) for name in ("hits", "set points", "things", "goals", "other goals", "late")}
     total |= {name: max(each[name] for each in rows) for name in ("velocity", "acceleration", "jerk")}
+    total |= {"least distance": min(each["least distance"] for each in rows)}
+    total |= {"refused": dict(sum((Counter(each["refused"]) for each in rows), Counter()))}
     total |= {"events": {event.value: sum(each["events"][event.value] for each in rows) for event in Event}}
     with tempfile.TemporaryDirectory() as folder:
         replayed = killed(Path(folder))
     found = {"machine": machine(), "seeds": given.seeds, "seconds": LASTS, **total, "replayed": replayed}
-    found |= {"check [ms]": quantiles(checks), "new motion [ms]": quantiles(motions)}
+    found |= {"times [ms]": {kind: quantiles(some) for kind, some in seconds.items() if some}}
     print(json.dumps(found, indent=2))
     given.out.write_text(json.dumps(found, indent=2) + "\n")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,7 @@ class Run(Pytree):
         """The trajectory's own time at its end [s]."""
         return float(self.trajectory.duration if self.brake is None else self.brake.end)
 
-    @property
+    @functools.cached_property
     def stop(self) -> np.ndarray:
         """The configuration (n,) in which it ends."""
         return np.asarray(self.trajectory.at_times([self.own_end]).q[0])

@@ -157,7 +157,7 @@ class Replanner:
         return time
 
     def _rebound(self, scene: Scene | None) -> bool:
-        """Takes another world, and tells whether there is one. Its trees are its own, not fitted from those before, so that the
+        """Takes another world, and tells whether it is another one. Its trees are its own, not fitted from those before, so that the
         same numbers are the same world in a replay."""
         check_kind("Replanner.update", "scene", scene, Scene, optional=True)
         if scene is None:
@@ -173,7 +173,7 @@ class Replanner:
         space = copy.copy(self._space)
         space.world = world
         self._space, self._scene = space, own
-        return True
+        return not all(map(np.array_equal, world.around.rows, before.around.rows))
 
     def _decided(self, time: float, now: float, changed: bool, asked: bool) -> Event:
         """Decides what to do from a moment `now` on, and takes the course for it."""
