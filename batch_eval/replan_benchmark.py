@@ -3,7 +3,7 @@
 The arm goes to and fro between random free postures within Franka's limits, and a `jaxik.Replanner` is told the world 30 times
 a second, each time as a new scene. Twenty boxes, cylinders and balls appear at random times between two updates: a quarter
 of them anywhere over the table, the others near the arm's coming way, and only where the motion by which it would stop at the next
-update keeps `FREE` from them, for what falls on the arm cannot be avoided. The set points, a thousand a second, are judged from
+update keeps `FREE` from them, for what falls on the arm cannot be avoided, and where the goal does. The set points, a thousand a second, are judged from
 outside: by coal, whether they hit, and by their finite differences, whether they keep the limits. One run is killed, and its
 log replayed. Prints, and writes `batch_eval/replan_benchmark.json`. Needs `pip install ".[test,peers]"`.
 """
@@ -47,6 +47,13 @@ def table() -> jaxik.Scene:
     return scene.with_room(boxes=THINGS + 1, cylinders=THINGS, spheres=THINGS + 1)
 
 
+def trembling(scene: jaxik.Scene, number: int) -> jaxik.Scene:
+    """The scene, its ball away from the arm, at another place in each update."""
+    pose = np.eye(4)
+    pose[:3, 3] = 3.0 + 0.01 * np.sin(number), 0.0, 0.5
+    return scene.moved("far", pose)
+
+
 def thing(rng: np.random.Generator, place: np.ndarray) -> dict[str, Any]:
     """A box, a cylinder or a ball, as `Scene.with_` takes it."""
     kind = rng.integers(3)
@@ -61,8 +68,8 @@ class Run:
     """One arm, its world, and what is noted of it."""
 
     def __init__(self, robot: jaxik.Robot, seed: int, log: Path | None = None):
-        self.robot, self.rng, self.scene = robot, np.random.default_rng(seed), table()
-        self.arm = jaxik.Replanner(robot, HOME, scene=self.scene, seed=seed, log=log, margin=MARGIN, **FRANKA)
+        self.robot, self.rng, self.scene, self.goal = robot, np.random.default_rng(seed), table(), HOME
+        self.arm = jaxik.Replanner(robot, HOME, scene=trembling(self.scene, 0), seed=seed, log=log, margin=MARGIN, **FRANKA)
         self.coal = CoalOfVolumes(robot, broad=True)
         self.due = np.sort(self.rng.uniform(0.0, DROPS, THINGS)).tolist()
         self.points: list[np.ndarray] = []
@@ -76,9 +83,7 @@ class Run:
         now = number / RATE
         while self.due and self.due[0] <= now:
             self.drop(now - self.due.pop(0), now)
-        trembling = np.eye(4)
-        trembling[:3, 3] = 3.0 + 0.01 * np.sin(number), 0.0, 0.5
-        told = self.scene.moved("far", trembling)
+        told = trembling(self.scene, number)
         begin = time.perf_counter()
         command = self.arm.update(now, told)
         seconds = time.perf_counter() - begin
@@ -87,7 +92,7 @@ class Run:
         self.events.append(command)
         first, last = (int(np.ceil(k / RATE / SAMPLE - 1e-9)) for k in (number, number + 1))
         self.points.append(self.arm.at(SAMPLE * np.arange(first, last)).q)
-        self.worlds.append(self.scene)
+        self.worlds.append(told)
         self.ask(command)
         return command
 
@@ -101,13 +106,14 @@ class Run:
         arrived = command.event is Event.ARRIVED
         if arrived or self.blocked > PATIENCE * RATE:
             self.goals, self.others, self.blocked = self.goals + arrived, self.others + (not arrived), 0
-            self.arm.go(self.posture())
+            self.goal = self.posture()
+            self.arm.go(self.goal)
 
     def posture(self) -> np.ndarray:
         """A random posture that is free."""
         while True:
             q = self.rng.uniform(self.robot.lower, self.robot.upper)
-            if self.coal.clearance(self.scene, q[None])[0] > FREE:
+            if self.coal.clearance(self.worlds[-1], q[None])[0] > FREE:
                 return q
 
     def drop(self, before: float, now: float) -> None:
@@ -115,7 +121,7 @@ class Run:
         stop = self.arm.stopping(now)
         lasts = max(stop.end - now, 0.0)
         times = now + np.arange(-before, lasts + 0.01, 0.01)
-        path = stop.at(np.maximum(times, max(now - before, 0.0))).q
+        path = np.concatenate([stop.at(np.maximum(times, max(now - before, 0.0))).q, self.goal[None]])
         for _ in range(TRIES):
             kind = thing(self.rng, self.place(now))
             alone = jaxik.make_scene(**kind)
@@ -133,10 +139,17 @@ class Run:
         return np.maximum(near + self.rng.normal(0.0, 0.06, 3), LOW)
 
 
+def grouped(run: Run) -> list[tuple[np.ndarray, jaxik.Scene]]:
+    """The set points between two changes, and the world then; the ball far away does not count."""
+    first = [i for i, world in enumerate(run.worlds) if not i or world.object_names != run.worlds[i - 1].object_names]
+    ends = [*first[1:], len(run.worlds)]
+    return [(np.concatenate(run.points[a:b]), run.worlds[a]) for a, b in zip(first, ends, strict=True)]
+
+
 def judged(run: Run) -> dict[str, Any]:
     """The hits of a run's set points, by coal, and the greatest shares of the limits, by finite differences."""
     hits, least = 0, np.inf
-    for points, world in zip(run.points, run.worlds, strict=True):
+    for points, world in grouped(run):
         moving = np.r_[True, (np.diff(points, axis=0) != 0.0).any(axis=1)]
         hits += int(run.coal.collides(world, points[moving]).sum())
         least = min(least, float(run.coal.clearance(world, points[moving][::MEASURED]).min(initial=np.inf)))
@@ -154,7 +167,7 @@ def row(run: Run) -> dict[str, Any]:
     counts = {event.value: kinds.count(event) for event in Event}
     late = sum(each.late for each in run.events)
     refused = Counter(f"{each.refusal.where or 'way'}: {Reason(each.refusal.reason).text}" for each in run.events if each.refusal)
-    things = len(run.scene.object_names) - 1
+    things = len(run.scene.object_names) - 2
     found = judged(run) | {"things": things, "goals": run.goals, "other goals": run.others, "late": late}
     return found | {"events": counts, "refused": dict(refused)}
 

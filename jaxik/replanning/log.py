@@ -58,14 +58,15 @@ class Log:
 
 
 class LogWriter:
-    """Writes a log as it goes; each line is given to the system at once. Raises `ValueError` for a file that is there already,
+    """Writes a log as it goes; each line is given to the system at once, and the file closed. Raises `ValueError` for a file that is there already,
     or cannot be written."""
 
     def __init__(self, path: Path, robot: Robot, q: np.ndarray, options: ReplanOptions, seed: int, scene: Scene | None):
         try:
-            self._file = path.open("x", encoding="utf-8")
+            path.open("x").close()
         except OSError as error:
             raise ValueError(f"Replanner: log {path}: {error.strerror}; give the path of a new file") from None
+        self._path = path
         self._scene, self._course = encoded(scene), None
         head = {"jaxik": __version__, "form": FORM, "robot": _as_text(robot), "q": encoded(q), "seed": seed}
         self._line(head | {"options": dataclasses.asdict(options), "scene": self._scene})
@@ -85,8 +86,8 @@ class LogWriter:
         self._line(line)
 
     def _line(self, content: dict[str, Any]) -> None:
-        self._file.write(json.dumps(content, separators=(",", ":")) + "\n")
-        self._file.flush()
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(content, separators=(",", ":")) + "\n")
 
 
 def load_log(path: str | Path) -> Log:

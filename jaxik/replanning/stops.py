@@ -33,17 +33,14 @@ class Stops:
 
     def before(self, course: Course, hit: Hit, now: float) -> Iterator[Course]:
         """Courses that stop before a hit, the later ones first; none where even the one that stops at once does not."""
-        run = course.runs[hit.run]
-        begun = max(now - run.begin, 0.0)
-        free = self._free(run, hit)
-        first = self._braked(run, begun)
-        for share in DELAYS:
-            wait = share * (free - first.own_end)
-            later = self._braked(run, begun + wait) if wait > 0.0 else first
-            if later is not first and later.own_end <= free:
+        run, halted = course.runs[hit.run], self.at_once(course, now)
+        first = halted.runs[hit.run] if len(halted.runs) > hit.run else self._braked(run, 0.0)
+        begun, free = max(now - run.begin, 0.0), self._free(run, hit)
+        for share in DELAYS if first.own_end < free else ():
+            later = self._braked(run, begun + share * (free - first.own_end))
+            if later.own_end <= free:
                 yield Course(course.standing, (*course.runs[: hit.run], later))
-        halted = self.at_once(course, now)
-        if len(halted.runs) <= hit.run or halted.runs[hit.run].own_end <= free:
+        if len(halted.runs) <= hit.run or first.own_end <= free:
             yield halted
 
     def _free(self, run: Run, hit: Hit) -> float:
