@@ -8,7 +8,6 @@ import jaxik
 from jaxik.replanning import Event
 from jaxik.spmd import call
 
-
 DT = 1e-3
 WALL = {"boxes": [[0.5, 0.0, 0.35, 0.1, 0.1, 0.7]]}
 
