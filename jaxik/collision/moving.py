@@ -85,7 +85,13 @@ class Track(Constant):
         rates = {"velocity": velocity, "turning": turning}
         rates = {name: numbers(f"Track: {name}", x, (3,), finite=True) for name, x in rates.items()}
         errors = _errors(bound, growth, since)
-        return cls(np.reshape(errors[2], 1), np.asarray(pose)[None], np.zeros((0, 3)), **rates, **dict(zip(ERRORS, errors)))
+        return cls(
+            np.reshape(errors[2], 1),
+            np.asarray(pose)[None],
+            np.zeros((0, 3)),
+            **rates,
+            **dict(zip(ERRORS, errors, strict=True)),
+        )
 
     def at(self, t: Any) -> Any:
         """The pose (4, 4) at t () [s]; of known times (...) the poses (..., 4, 4) in NumPy. Traced."""
@@ -96,14 +102,15 @@ class Track(Constant):
         beyond = t - within
         exp = _rotations if known else rotation_exp
         if len(self.times) == 1:
-            place, rotation = poses[0, :3, 3], poses[0, :3, :3]
+            place, rotation = poses[0, :3, 3], xp.broadcast_to(poses[0, :3, :3], (*t.shape, 3, 3))
         else:
             i = xp.clip(xp.searchsorted(times, within, side="right") - 1, 0, len(self.times) - 2)
             part = ((within - times[i]) / (times[i + 1] - times[i]))[..., None]
             place = poses[i, :3, 3] + part * (poses[i + 1, :3, 3] - poses[i, :3, 3])
-            rotation = poses[i, :3, :3] @ exp(part * xp.asarray(self.turns)[i])
+            rotation = poses[i, :3, :3]
+            rotation = rotation @ exp(part * xp.asarray(self.turns)[i]) if self._turns else rotation
         place = place + beyond[..., None] * xp.asarray(self.velocity)
-        rotation = exp(beyond[..., None] * xp.asarray(self.turning)) @ rotation
+        rotation = exp(beyond[..., None] * xp.asarray(self.turning)) @ rotation if self._turns else rotation
         rows = xp.concatenate([rotation, place[..., None]], axis=-1)
         last = xp.broadcast_to(xp.asarray([0.0, 0.0, 0.0, 1.0], rows.dtype), (*rows.shape[:-2], 1, 4))
         return xp.concatenate([rows, last], axis=-2)
@@ -115,11 +122,21 @@ class Track(Constant):
 
     def travelled(self, t: Any, radius: float) -> np.ndarray:
         """A function of t (...) [s] that grows by no less than a point within a `radius` [m] of its origin moves. Host."""
-        t, away = np.asarray(t, float), np.linalg.norm(np.diff(self.poses[:, :3, 3], axis=0), axis=-1)
-        steps = away + radius * np.linalg.norm(self.turns, axis=-1)
-        beyond = np.linalg.norm(self.velocity) + radius * np.linalg.norm(self.turning)
-        far = np.interp(t, self.times, np.concatenate([[0.0], np.cumsum(steps)]))
-        return np.asarray(far + beyond * (t - np.clip(t, self.times[0], self.times[-1])))
+        t, (ways, angles, speed, turning) = np.asarray(t, float), self._travels
+        far = np.interp(t, self.times, ways + radius * angles)
+        return np.asarray(far + (speed + radius * turning) * (t - np.minimum(np.maximum(t, self.times[0]), self.times[-1])))
+
+    @functools.cached_property
+    def _travels(self) -> tuple[np.ndarray, np.ndarray, float, float]:
+        """The way of its origin and the angle (m,) at the times, and how fast both go on before and after."""
+        ways = np.linalg.norm(np.diff(self.poses[:, :3, 3], axis=0), axis=-1), np.linalg.norm(self.turns, axis=-1)
+        since = (np.concatenate([[0.0], np.cumsum(x)]) for x in ways)
+        return *since, float(np.linalg.norm(self.velocity)), float(np.linalg.norm(self.turning))
+
+    @functools.cached_property
+    def _turns(self) -> bool:
+        """Whether it turns, as far as that is known."""
+        return not is_known((self.turns, self.turning)) or bool(np.any(self.turns) or np.any(self.turning))
 
     @property
     def settled(self) -> float:

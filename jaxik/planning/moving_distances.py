@@ -37,8 +37,23 @@ class MovingDistances:
         what is out of the way."""
         if not (self.moving.tracks and len(q)):
             return np.full((len(q), len(self.moving.tracks)), np.inf)
-        seen = inverse(self.moving.poses(times)) @ self.base
-        (found,) = in_blocks(_distances(self.robot), np.asarray(q, float), seen, fixed=self.fixed, double=double)
+        return self._measured(np.asarray(q, float), self._seen(times), double)
+
+    def over(self, q: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """The same in float32 of each configuration (b, n) at each of the times (t,): (b, t, o)."""
+        shape = len(q), len(times), len(self.moving.tracks)
+        if not all(shape):
+            return np.full(shape, np.inf)
+        rows = np.repeat(np.asarray(q, np.float32), len(times), axis=0)
+        seen = np.broadcast_to(self._seen(times).astype(np.float32), (len(q), *shape[1:], 4, 4))
+        return self._measured(rows, seen.reshape(-1, shape[2], 4, 4), False).reshape(shape)
+
+    def _seen(self, times: np.ndarray) -> np.ndarray:
+        """The robot's base (t, o, 4, 4) in the frames of what moves."""
+        return np.asarray(inverse(self.moving.poses(times)) @ self.base)
+
+    def _measured(self, q: np.ndarray, seen: np.ndarray, double: bool) -> np.ndarray:
+        (found,) = in_blocks(_distances(self.robot), q, seen, fixed=self.fixed, double=double)
         return np.where(found > FAR / 2.0, np.inf, found)
 
 

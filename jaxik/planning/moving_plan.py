@@ -69,11 +69,11 @@ class Traffic:
         self.stuck: Stuck | None = None
 
     def proven(self, motion: Trajectory) -> Proof:
-        """Whether a motion from the start on is proven, and all of its brakings. A braking falls behind by no more time than it
-        goes on, and by no more than half of what the longest one takes."""
+        """Whether a motion from the start on is proven with all of its brakings, or some time at which it is not. A braking
+        falls behind by no more time than it goes on, and by no more than half of what the longest one takes."""
         course = Course.of(motion, self.start, self.weights)
         cells = cells_between(0.0, float(motion.duration), lambda since: np.minimum(since, self.delay))
-        found = proof(self.near, course, cells, self.margin, RESOLUTION, self.margin)
+        found = proof(self.near, course, cells, self.margin, RESOLUTION, self.margin, first=True)
         if found.contact < np.inf and (self.stuck is None or self.start + found.contact > self.stuck.time):
             self.stuck = Stuck(found.object, self.start + found.contact)
         return found
@@ -170,8 +170,7 @@ def detours(traffic: Traffic, start: np.ndarray, goal: np.ndarray, planned: Plan
     drawn = np.concatenate([close, anywhere]) if len(anywhere) else close
     drawn = drawn[~space.hits(drawn)]
     clock = traffic.start + np.linspace(0.0, traffic.ahead(lasts), LOOKS)
-    apart = traffic.near.at(np.repeat(drawn, LOOKS, axis=0), np.tile(clock, len(drawn)), double=False)
-    clear = (apart.reshape(len(drawn), LOOKS, -1) - traffic.moving.errors(clock)).min(axis=(1, 2), initial=np.inf)
+    clear = (traffic.near.over(drawn, clock) - traffic.moving.errors(clock)).min(axis=(1, 2), initial=np.inf)
     drawn = drawn[clear > traffic.margin + CALM]
     far = space.length(drawn - start) + space.length(goal - drawn)
     drawn = drawn[np.argsort(far, kind="stable")[:TAKEN]]

@@ -1,4 +1,4 @@
-"""Proofs of timed motions: how near they come to what stands, to what moves and to themselves, and until when they may go on."""
+"""Proofs of timed motions: how near they come to what stands, what moves and themselves, and until when they may go on."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def mapped(
     late = int(np.ceil(delay / tick)) + bool(delay)
     clock = start + tick * np.arange(int(np.ceil(lasts / tick)) + late + 2)
     q = path_at(np, path, places)[0]
-    found = near.at(np.repeat(q, len(clock), axis=0), np.tile(clock, count), double=False).reshape(count, len(clock), -1)
+    found = near.over(q, clock)
     moved = near.moving.travelled(clock + 0.5 * tick) - near.moving.travelled(clock - 0.5 * tick)
     asked = near.moving.errors(clock) + SHARE * 0.5 * moved
     clear = np.min(found - asked, axis=2, initial=np.inf)
