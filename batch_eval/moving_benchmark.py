@@ -36,7 +36,7 @@ RESERVE = 0.3
 
 
 class Cell(NamedTuple):
-    """A scene, its boxes (k, 6), the radii of its balls (b,), where they are at times (t, 3) and (t,), and a start and a goal."""
+    """A scene, its boxes (k, 6), the radii of its balls (b,), their times (t,) and places (t, 3), a start and a goal."""
 
     moving: MovingScene
     boxes: np.ndarray
@@ -81,7 +81,7 @@ def frames(robot: jaxik.Robot, q: np.ndarray) -> list[np.ndarray]:
     """The base and the joints' frames (k, 4, 4), by Rodrigues' formula."""
     found = [np.broadcast_to(np.asarray(robot.world_T_base, float), (len(q), 4, 4))]
     for j, axis in enumerate(np.asarray(robot.axis, float)):
-        cross = np.cross(np.eye(3), axis) * -1.0
+        cross = np.cross(np.eye(3), axis)
         turn = np.tile(np.eye(4), (len(q), 1, 1))
         sine, versine = np.sin(q[:, j])[:, None, None], (1.0 - np.cos(q[:, j]))[:, None, None]
         turn[:, :3, :3] += sine * cross + versine * (cross @ cross)
