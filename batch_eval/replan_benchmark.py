@@ -3,15 +3,16 @@
 The arm goes to and fro between random free postures within Franka's limits, and a `jaxik.Replanner` is told the world 30 times
 a second, which is another one each time. Twenty boxes, cylinders and balls appear at random times between two updates: a
 quarter of them anywhere over the table, the others near the coming way of its tip, and only where the motion by which it would
-stop at the next update keeps `FREE` from them, for what falls on the arm cannot be avoided, and where the goal does. The set points,
-a thousand a second, are judged from outside: by coal, whether they hit, and by their finite differences, whether they keep the
-limits. One run is killed, and its log replayed. Prints, and writes `batch_eval/replan_benchmark.json`. Needs
+stop at the next update keeps `FREE` from them, for what falls on the arm cannot be avoided, and where the goal does. The set
+points, a thousand a second, are judged from outside: by coal, whether they hit, and by their finite differences, whether they
+keep the limits. One run is killed, and its log replayed. Prints, and writes `batch_eval/replan_benchmark.json`. Needs
 `pip install ".[test,peers]"`.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import signal
 import subprocess
@@ -71,6 +72,8 @@ class Run:
     def __init__(self, robot: jaxik.Robot, seed: int, log: Path | None = None):
         self.robot, self.rng, self.scene, self.goal = robot, np.random.default_rng(seed), table(), HOME
         self.arm = jaxik.Replanner(robot, HOME, scene=trembling(self.scene, 0), seed=seed, log=log, margin=MARGIN, **FRANKA)
+        gc.collect()
+        gc.freeze()  # or a collection in the midst of the loop looks at all that JAX holds
         self.coal = CoalOfVolumes(robot, broad=True)
         self.due = np.sort(self.rng.uniform(0.0, DROPS, THINGS)).tolist()
         self.points: list[np.ndarray] = []
