@@ -17,7 +17,7 @@ def replanning_markdown(result: dict[str, Any]) -> str:
     for kind, row in result["times [ms]"].items():
         lines.append(f"| {KINDS[kind]} | {row['count']:,} | {row['p50']:.1f} ms | {row['p99']:.1f} | {row['slowest']:.0f} |")
     shares = ", ".join(f"{name} {100.0 * result[name]:.1f} %" for name in ("velocity", "acceleration", "jerk"))
-    replayed, machine = result["replayed"], result["machine"]
+    replayed = result["replayed"]
     lines += [
         "",
         f"{result['seeds']} runs of {result['seconds']:g} s, in which {result['things']:,} things drop in: of "
@@ -26,7 +26,5 @@ def replanning_markdown(result: dict[str, Any]) -> str:
         f"reached, {result['other goals']} given up, and {result['late']} times it was too late to stop. Of a run "
         f"that was killed, {replayed['same']} of {replayed['updates']} commands replay to the last bit, from "
         f"{replayed['bytes'] / max(replayed['updates'], 1) / 1e3:.1f} kB an update.",
-        "",
-        f"Machine: {machine['cpu']}, jax {machine['jax']}.",
     ]
     return "\n".join(lines)

@@ -111,7 +111,7 @@ def test_scenes_of_all_kinds_are_written_to_the_last_bit(table):
     scene = table.with_(
         "all", capsules=[[*rng.normal(size=6), 0.1]], points=rng.normal(size=(3, 3)), boxes=[rng.uniform(size=6)]
     )
-    scene = scene.with_cloud(rng.normal(size=(50, 3)).astype(np.float32), 0.01).with_field("grid", field)
+    scene = scene.with_cloud(rng.normal(size=(50, 3)).astype(np.float32), 0.01).with_field(field)
     now = scene.moved("all", jaxik.pose([0.1, 0.2, 0.3]))
     before, after = (json.loads(json.dumps(encoded(each))) for each in (scene, now))
     change = difference(before, after)
