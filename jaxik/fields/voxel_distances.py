@@ -74,7 +74,8 @@ def _along(squares: Any) -> Any:
             squares = [(apart + steps) * (apart + steps) for steps in range(1 - BLOCK, BLOCK)]
             for j in range(BLOCK):
                 best = [
-                    jnp.minimum(best[i], jnp.where(empty[i], out[j], into[j]) + squares[i - j + BLOCK - 1]) for i in range(BLOCK)
+                    jnp.minimum(best[i], jnp.where(empty[i], out[j], into[j]) + squares[i - j + BLOCK - 1])
+                    for i in range(BLOCK)
                 ]
             return best
 
