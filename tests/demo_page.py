@@ -1,7 +1,7 @@
-"""The documentation's demo in a real browser: `python tests/demo_page.py SITE SCREENSHOT.png` (needs Chromium, selenium).
+"""The documentation's demo in a real browser: `PYTHONPATH=batch_eval python tests/demo_page.py SITE PICTURE.png`.
 
-As `view_page.py`, it is called by CI, after the site is built. The target is moved by the page's sliders; the posture that the
-page tells has the target's pose by Pinocchio, and the words are there where there is none.
+It needs Chromium and selenium. As `view_page.py`, it is called by CI, after the site is built. The target is moved by the
+page's sliders; the posture that the page tells has the target's pose by Pinocchio, and the words are there where there is none.
 """
 
 import functools

@@ -220,8 +220,19 @@ def _solids(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool,
             rows = jax.tree_util.tree_map(np.asarray, rows)
         if len(owner) or kind in least:
             form = least.get(kind, Form(1, 0, False))
-            found.append(_obstacles(kind, rows, owner, masks, by_object, ignored, form))
+            asked = kind, rows, owner, masks, by_object, ignored, form
+            found.append(_once(obstacles, asked) if is_known(rows) else _obstacles(*asked))
     return Groups(*zip(*found, strict=True)) if found else Groups((), ())
+
+
+def _once(solid: Any, asked: tuple[Any, ...]) -> tuple[Obstacles, np.ndarray]:
+    """`_obstacles` of a known kind of a scene, which keeps the last ones: scenes share the kinds in which nothing changed."""
+    _, _, owner, masks, by_object, ignored, form = asked
+    key = owner.tobytes(), masks.tobytes(), by_object, ignored, form
+    before = vars(solid).get("_groups")
+    if before is None or before[0] != key:
+        vars(solid)["_groups"] = before = key, _obstacles(*asked)
+    return before[1]
 
 
 def _clouds(

@@ -69,7 +69,7 @@ class JointPath(Pytree):
     def at(self, s: Any) -> Any:
         """q, q' and q'' (..., n) at s (...), from 0 to the sum of the lengths. Traced; `vmap` it over a stack."""
         _check_one("JointPath.at", self.lengths)
-        return _along(jnp, self, jnp.asarray(s))
+        return along(jnp, self, jnp.asarray(s))
 
 
 class Trajectory(Result):
@@ -156,6 +156,11 @@ class Trajectory(Result):
         t = numbers("at_times: t", t)
         return Motion(*_state(np, self._in_numpy(), t), t, joint_names=self.joint_names)
 
+    def places_at(self, t: Any) -> np.ndarray:
+        """The way along the path (i,) at times (i,) [s] of one motion, in float64. Host."""
+        _check_one("Trajectory.places_at", self.time)
+        return np.asarray(_law(np, self._in_numpy(), numbers("places_at: t", t))[1])
+
     def _in_numpy(self) -> Trajectory:
         return jax.tree_util.tree_map(lambda x: np.asarray(x, np.float64), self)
 
@@ -165,7 +170,7 @@ def _check_one(who: str, array: Any) -> None:
         raise ValueError(f"{who}: a stack of shape {np.shape(array)[:-1]}; take one of it, or jax.vmap this")
 
 
-def _along(xp: Any, path: Any, s: Any) -> Any:
+def along(xp: Any, path: Any, s: Any) -> Any:
     """q, q' and q'' (..., n) at s (...)."""
     ends = xp.cumsum(xp.asarray(path.lengths))
     piece = xp.where(
@@ -192,8 +197,8 @@ def along_pieces(c: Any, x: Any) -> Any:
     return q, slope, 2.0 * half_bend
 
 
-def _state(xp: Any, moved: Any, t: Any) -> tuple[Any, Any, Any]:
-    """q, velocity and acceleration (..., n) at t (...)."""
+def _law(xp: Any, moved: Any, t: Any) -> tuple[Any, Any, Any, Any]:
+    """The interval (...) at t (...), the way along the path, and its first and second derivatives by time."""
     time, place, speed = xp.asarray(moved.time), xp.asarray(moved.place), xp.asarray(moved.speed)
     last = len(time) - 2
     i = xp.clip(xp.searchsorted(time, t, side="right") - 1, 0, last)
@@ -203,15 +208,23 @@ def _state(xp: Any, moved: Any, t: Any) -> tuple[Any, Any, Any]:
         rate = change(speed)
         way = place[i] + (speed[i] + 0.5 * rate * since) * since
         now = speed[i] + rate * since
-        piece = i // ((last + 1) // len(moved.path.lengths))  # by number: at a corner the way itself, rounded, is in either
-        q, slope, bend = _within(xp, moved.path, piece, way)
     else:
         first = xp.asarray(moved.acceleration)
         jerk, first = change(first), first[i]
         way = place[i] + (speed[i] + (0.5 * first + jerk * since / 6.0) * since) * since
         now, rate = speed[i] + (first + 0.5 * jerk * since) * since, first + jerk * since
-        q, slope, bend = _along(xp, moved.path, way)  # either piece: at a corner it is at rest
-    now, rate = (xp.where((t < time[0]) | (t > time[-1]), 0.0, x)[..., None] for x in (now, rate))
+    return i, way, *(xp.where((t < time[0]) | (t > time[-1]), 0.0, x) for x in (now, rate))
+
+
+def _state(xp: Any, moved: Any, t: Any) -> tuple[Any, Any, Any]:
+    """q, velocity and acceleration (..., n) at t (...)."""
+    i, way, now, rate = _law(xp, moved, t)
+    if moved.acceleration is None:
+        piece = i // ((len(moved.time) - 1) // len(moved.path.lengths))  # by number: at a corner the way, rounded, is in either
+        q, slope, bend = _within(xp, moved.path, piece, way)
+    else:
+        q, slope, bend = along(xp, moved.path, way)  # either piece: at a corner it is at rest
+    now, rate = now[..., None], rate[..., None]
     return q, slope * now, bend * now**2 + slope * rate
 
 
