@@ -1,7 +1,7 @@
 """A horizon that minds a live cloud of points: `python batch_eval/horizon_benchmark.py`, a minute.
 
 Needs `pip install -e ".[test]"`. Nine joints follow a line with the tip (`setups/self_collision.py`), 100 samples a second, and
-somebody's forearm of 100,000 points reaches in and is drawn back: 30 times a second it is another cloud. The cost of the horizon
+somebody's forearm of 100,000 points reaches in and is drawn back: 30 times a second it is another cloud. The horizon's cost
 has a term of the distance to the cloud. Timed is each sample's step; what a new cloud takes stands apart, since a camera's
 process makes it. How near the arm came is judged by SciPy's tree of the points, beside the same arm without that term.
 Prints, and writes `batch_eval/horizon_benchmark.json`.
