@@ -19,7 +19,17 @@ from jaxik.garbage import uncollected as _uncollected
 with _uncollected():
     from jaxik import analytic, collision, costs, dynamics, files, fitting, homotopy, ik, kinematics, optimise, spatial, spmd
     from jaxik.analytic import closed_form
-    from jaxik.collision import Scene, clearance, collides, explain, make_scene, motion_clearance
+    from jaxik.collision import (
+        MovingScene,
+        Scene,
+        Track,
+        clearance,
+        clearance_at,
+        collides,
+        explain,
+        make_scene,
+        motion_clearance,
+    )
     from jaxik.files import load, load_scene, load_targets, save
     from jaxik.fitting import FitOptions
     from jaxik.ik import IKOptions, Solver, implicit_ik, solve_ik
@@ -39,7 +49,7 @@ if TYPE_CHECKING:
     from jaxik.codegen import export
     from jaxik.harvesting import harvest
     from jaxik.motions import follow, predict
-    from jaxik.planning import plan_motion, plan_path
+    from jaxik.planning import plan_motion, plan_path, safe_until, trajectory_clearance
     from jaxik.replanning import Replanner
     from jaxik.sweeps import sweep
 
@@ -48,6 +58,7 @@ __all__ = [
     "FitOptions",
     "IKOptions",
     "LoadError",
+    "MovingScene",
     "Prepared",
     "Reason",
     "Replanner",
@@ -55,8 +66,10 @@ __all__ = [
     "Scene",
     "Solver",
     "Task",
+    "Track",
     "analytic",
     "clearance",
+    "clearance_at",
     "closed_form",
     "codegen",
     "collides",
@@ -95,6 +108,7 @@ __all__ = [
     "prepare",
     "reach",
     "replanning",
+    "safe_until",
     "save",
     "sensing",
     "solve_ik",
@@ -104,6 +118,7 @@ __all__ = [
     "sweeps",
     "teleoperation",
     "touch",
+    "trajectory_clearance",
 ]
 
 _LATE = {  # packages that wait until they are asked for, and what stands here of them: a quarter of the import
@@ -113,7 +128,7 @@ _LATE = {  # packages that wait until they are asked for, and what stands here o
     "harvesting": "harvest",
     "identification": "",
     "motions": "follow predict",
-    "planning": "plan_motion plan_path",
+    "planning": "plan_motion plan_path safe_until trajectory_clearance",
     "reach": "",
     "replanning": "Replanner",
     "sensing": "",

@@ -112,9 +112,7 @@ def load_log(path: str | Path) -> Log:
         raise ValueError(f"load_log: {path} is no log: {error}; give a file that Replanner(log=) has written") from None
 
 
-def _records(
-    lines: list[dict[str, Any]], told: Any, robot: Robot, margin: float, weights: np.ndarray
-) -> Iterator[Record]:
+def _records(lines: list[dict[str, Any]], told: Any, robot: Robot, margin: float, weights: np.ndarray) -> Iterator[Record]:
     """The records of the lines of updates, after a scene as it was `told` first."""
     scene, course = decoded(told), None
     for line in lines:

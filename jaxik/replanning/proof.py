@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.planning.collision_checker import CLOSE, PIECE, RESOLUTION, CollisionChecker
-from jaxik.planning.trajectory import JointPath, along, along_pieces
+from jaxik.planning.trajectory import JointPath, along_pieces, path_at
 from jaxik.replanning.course import Course, Run
 
 CURVED = 8  # chords of a curved piece, at least
@@ -87,7 +87,7 @@ def _within(run: Run, begin: float, end: float, time: float) -> tuple[float, flo
 
 
 def _at(run: Run, places: np.ndarray) -> np.ndarray:
-    return np.asarray(along(np, run.trajectory.path, places)[0])
+    return np.asarray(path_at(np, run.trajectory.path, places)[0])
 
 
 def _proven(

@@ -223,4 +223,3 @@ def _inside(who: str, robot: Robot, q: np.ndarray) -> np.ndarray:
         allowed = f"{robot.lower[j]:g} to {robot.upper[j]:g}"
         raise ValueError(f"{who}: {robot.joint_names[j]} is {q[j]:g}; allowed: {allowed}")
     return q
-
