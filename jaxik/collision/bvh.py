@@ -307,7 +307,9 @@ def _obstacles(
     room = max(next((n for n in LEAVES if n >= room), room) if more else room, least.room)
     balls = balls_around(center[order].reshape(-1, size, 3), radius[order].reshape(-1, size), xp)
     filled, numbered = lambda x: with_zeros(x, room, xp), lambda x: with_zeros(x.astype(np.int32), room, np)
-    placed = lambda x: x if np.ndim(x) == 0 else with_zeros(xp.asarray(x)[order], room * size, xp)
+    # what stays where it is, as a few fields do, is not copied: their nodes are millions
+    still = len(radius) == room * size and is_known(order) and np.array_equal(order, np.arange(room * size))
+    placed = lambda x: x if still or np.ndim(x) == 0 else with_zeros(xp.asarray(x)[order], room * size, xp)
     kept = {name: placed(x) for name, x in rows.items()}
     spheres, branches = (Balls(*map(filled, each)) for each in (balls, joined(balls, first, last, xp)))
     branch = np.repeat(np.arange(len(first)), last - first)
