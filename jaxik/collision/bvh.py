@@ -280,11 +280,10 @@ def _obstacles(
     """Obstacles of a kind, and which object each of their rows belongs to; `masks` of each object, and of what belongs to none,
     at last."""
     known = is_known(rows)
-    if kind == "fields" and rows[NODES].shape[1] < least.nodes:
-        more = [(0, 0), (0, least.nodes - rows[NODES].shape[1])]
-        rows = rows | {NODES: (np if known else jnp).pad(rows[NODES], more)}
-    size = max(LEAF[kind] if not known or len(owner) > FAN else 1, least.size)  # a few fill no leaf
     xp = np if known else jnp
+    if kind == "fields" and (lacks := least.nodes - rows[NODES].shape[1]) > 0:
+        rows = rows | {NODES: xp.pad(rows[NODES], [(0, 0), (0, lacks)])}
+    size = max(LEAF[kind] if not known or len(owner) > FAN else 1, least.size)  # a few fill no leaf
     center, radius = extent(rows if known else lax.stop_gradient(rows), xp)
     there = np.arange(len(radius)) if not known else np.flatnonzero(~(np.abs(center).max(axis=1) > FAR / 2.0))
     key = owner[there] if by_object else masks[owner[there]]
