@@ -2,10 +2,10 @@
 
 Here is what everybody needs; the rest is in the packages, which are there after `import jaxik`: `kinematics`,
 `dynamics`, `analytic`, `homotopy`, `collision`, `fields`, `sensing`, `costs`, `fitting`, `files`, `ik`, `motions`, `planning`,
-`identification`, `estimation`, `touch`, `teleoperation`, `reach`, `harvesting`, `sweeps`, `view`, `codegen`, and, knowing no
-robot, `spatial`, `optimise` and `spmd`. Each docstring says where its function runs: "Traced." takes one configuration, and is
-for `jit`, `vmap` and `grad`; "Host driver." takes many, chunks and pads them, and gives NumPy; "Host." runs once, outside of
-JAX's transformations.
+`replanning`, `identification`, `estimation`, `touch`, `teleoperation`, `reach`, `harvesting`, `sweeps`, `view`, `codegen`, and,
+knowing no robot, `spatial`, `optimise` and `spmd`. Each docstring says where its function runs: "Traced." takes one
+configuration, and is for `jit`, `vmap` and `grad`; "Host driver." takes many, chunks and pads them, and gives NumPy; "Host."
+runs once, outside of JAX's transformations.
 """
 
 import importlib
@@ -19,7 +19,17 @@ from jaxik.garbage import uncollected as _uncollected
 with _uncollected():
     from jaxik import analytic, collision, costs, dynamics, files, fitting, homotopy, ik, kinematics, optimise, spatial, spmd
     from jaxik.analytic import closed_form
-    from jaxik.collision import Scene, clearance, collides, explain, make_scene, motion_clearance
+    from jaxik.collision import (
+        MovingScene,
+        Scene,
+        Track,
+        clearance,
+        clearance_at,
+        collides,
+        explain,
+        make_scene,
+        motion_clearance,
+    )
     from jaxik.files import load, load_scene, load_targets, save
     from jaxik.fitting import FitOptions
     from jaxik.ik import IKOptions, Solver, implicit_ik, solve_ik
@@ -31,14 +41,16 @@ with _uncollected():
     from jaxik.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from jaxik import codegen, estimation, fields, harvesting, identification, motions, planning, reach, sensing, sweeps
+    from jaxik import codegen, estimation, fields, harvesting, identification, motions, planning, reach, replanning, sensing
+    from jaxik import sweeps as sweeps
     from jaxik import teleoperation as teleoperation
     from jaxik import touch as touch
     from jaxik import view as view
     from jaxik.codegen import export
     from jaxik.harvesting import harvest
     from jaxik.motions import follow, predict
-    from jaxik.planning import plan_motion, plan_path
+    from jaxik.planning import plan_motion, plan_path, safe_until, trajectory_clearance
+    from jaxik.replanning import Replanner
     from jaxik.sweeps import sweep
 
 __all__ = [
@@ -46,14 +58,18 @@ __all__ = [
     "FitOptions",
     "IKOptions",
     "LoadError",
+    "MovingScene",
     "Prepared",
     "Reason",
+    "Replanner",
     "Robot",
     "Scene",
     "Solver",
     "Task",
+    "Track",
     "analytic",
     "clearance",
+    "clearance_at",
     "closed_form",
     "codegen",
     "collides",
@@ -91,6 +107,8 @@ __all__ = [
     "predict",
     "prepare",
     "reach",
+    "replanning",
+    "safe_until",
     "save",
     "sensing",
     "solve_ik",
@@ -100,6 +118,7 @@ __all__ = [
     "sweeps",
     "teleoperation",
     "touch",
+    "trajectory_clearance",
 ]
 
 _LATE = {  # packages that wait until they are asked for, and what stands here of them: a quarter of the import
@@ -109,8 +128,9 @@ _LATE = {  # packages that wait until they are asked for, and what stands here o
     "harvesting": "harvest",
     "identification": "",
     "motions": "follow predict",
-    "planning": "plan_motion plan_path",
+    "planning": "plan_motion plan_path safe_until trajectory_clearance",
     "reach": "",
+    "replanning": "Replanner",
     "sensing": "",
     "sweeps": "sweep",
     "teleoperation": "",

@@ -228,8 +228,19 @@ def _solids(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool,
             rows = jax.tree_util.tree_map(np.asarray, rows)
         if len(owner) or kind in least:
             form = least.get(kind, Form(1, 0, False))
-            found.append(_obstacles(kind, rows, owner, masks, by_object, ignored, form))
+            asked = kind, rows, owner, masks, by_object, ignored, form
+            found.append(_once(obstacles, asked) if is_known(rows) else _obstacles(*asked))
     return Groups(*zip(*found, strict=True)) if found else Groups((), ())
+
+
+def _once(solid: Any, asked: tuple[Any, ...]) -> tuple[Obstacles, np.ndarray]:
+    """`_obstacles` of a known kind of a scene, which keeps the last ones: scenes share the kinds in which nothing changed."""
+    _, _, owner, masks, by_object, ignored, form = asked
+    key = owner.tobytes(), masks.tobytes(), by_object, ignored, form
+    before = vars(solid).get("_groups")
+    if before is None or before[0] != key:
+        vars(solid)["_groups"] = before = key, _obstacles(*asked)
+    return before[1]
 
 
 def _clouds(
@@ -269,11 +280,10 @@ def _obstacles(
     """Obstacles of a kind, and which object each of their rows belongs to; `masks` of each object, and of what belongs to none,
     at last."""
     known = is_known(rows)
-    if kind == "fields" and rows[NODES].shape[1] < least.nodes:
-        more = [(0, 0), (0, least.nodes - rows[NODES].shape[1])]
-        rows = rows | {NODES: (np if known else jnp).pad(rows[NODES], more)}
-    size = max(LEAF[kind] if not known or len(owner) > FAN else 1, least.size)  # a few fill no leaf
     xp = np if known else jnp
+    if kind == "fields" and (lacks := least.nodes - rows[NODES].shape[1]) > 0:
+        rows = rows | {NODES: xp.pad(rows[NODES], [(0, 0), (0, lacks)])}
+    size = max(LEAF[kind] if not known or len(owner) > FAN else 1, least.size)  # a few fill no leaf
     center, radius = extent(rows if known else lax.stop_gradient(rows), xp)
     there = np.arange(len(radius)) if not known else np.flatnonzero(~(np.abs(center).max(axis=1) > FAR / 2.0))
     key = owner[there] if by_object else masks[owner[there]]
@@ -296,7 +306,9 @@ def _obstacles(
     room = max(next((n for n in LEAVES if n >= room), room) if more else room, least.room)
     balls = balls_around(center[order].reshape(-1, size, 3), radius[order].reshape(-1, size), xp)
     filled, numbered = lambda x: with_zeros(x, room, xp), lambda x: with_zeros(x.astype(np.int32), room, np)
-    placed = lambda x: x if np.ndim(x) == 0 else with_zeros(xp.asarray(x)[order], room * size, xp)
+    # what stays where it is, as a few fields do, is not copied: their nodes are millions
+    still = len(radius) == room * size and is_known(order) and np.array_equal(order, np.arange(room * size))
+    placed = lambda x: x if still or np.ndim(x) == 0 else with_zeros(xp.asarray(x)[order], room * size, xp)
     kept = {name: placed(x) for name, x in rows.items()}
     spheres, branches = (Balls(*map(filled, each)) for each in (balls, joined(balls, first, last, xp)))
     branch = np.repeat(np.arange(len(first)), last - first)

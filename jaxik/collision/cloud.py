@@ -8,7 +8,7 @@ build as to sort numbers. Its shape depends on the room alone: another cloud wit
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, as_numbers, check_shape, is_known, numbers
 from jaxik.checks.options import as_count, shown
-from jaxik.collision.leaf_rows import FAR
+from jaxik.collision.leaf_rows import FAR, SLACK
 from jaxik.collision.obstacle_kinds import LIMIT
 from jaxik.pytree import Constant, static
 from jaxik.spmd.host import HostKernel
@@ -86,6 +86,23 @@ class Cloud(Constant):
     def after(self, pose: Any) -> Cloud:
         """The cloud, moved by a pose (4, 4), or out of the way, where that is None."""
         return self.away() if pose is None else self.moved(pose)
+
+    def beside(self, apart: Callable[[np.ndarray], np.ndarray], within: float) -> np.ndarray:
+        """The numbers (m,) of points among which the nearest to each of v shapes is, if its ball is `within` a distance [m];
+        `apart` tells the signed distances (b, v) [m] of places (b, 3) from the shapes. Host."""
+        some, boxes, leaves = np.ones(1, int), np.asarray(self.boxes), len(self.boxes) // 2
+        while True:
+            low, high = boxes[some, :3].astype(float), -boxes[some, 3:].astype(float)
+            there = low[:, 0] <= high[:, 0]
+            some, low, high = some[there], low[there], high[there]
+            gaps, half = apart(0.5 * (low + high)), 0.5 * np.linalg.norm(high - low, axis=1)[:, None] + SLACK
+            most = np.minimum((gaps + half).min(axis=0, initial=np.inf), within + float(self.radius))
+            some = some[(gaps - half <= most).any(axis=1)]
+            if not len(some) or some[0] >= leaves:
+                break
+            some = (2 * some[:, None] + [0, 1]).ravel()
+        rows = ((some - leaves)[:, None] * LEAF + np.arange(LEAF)).ravel()
+        return np.asarray(rows[np.asarray(self.center)[rows, 0] < FAR / 2.0])
 
     def roomy(self, room: int) -> Cloud:
         """The same in arrays for `room` points, one of `ROOMS` and no fewer than these are for."""

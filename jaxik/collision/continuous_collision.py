@@ -124,6 +124,13 @@ def motion_collides(robot: Robot, start: Any, goal: Any, margin: Any, resolution
     return ~_advanced(True, robot, obstacles or None, start, goal, margin, resolution, margin, size).free
 
 
+def motion_bound(
+    robot: Robot, start: Any, goal: Any, margin: Any, resolution: Any, enough: Any, size: Any, obstacles: Any
+) -> MotionClearance:
+    """`motion_clearance` among grouped obstacles, whose scene is of such a `size_of`; nothing is checked. Traced."""
+    return _advanced(False, robot, obstacles or None, start, goal, margin, resolution, enough, size)
+
+
 @functools.lru_cache(maxsize=64)
 def joint_reaches(robot: Robot) -> np.ndarray:
     """How far a unit of each joint moves a point of the shapes' skeletons at most, inside the limits (n,) [m/rad, 1]. Host."""

@@ -1,5 +1,6 @@
 """Motions from posture to posture: paths through the space of joints, free of collision, and their timing."""
 
+from jaxik.planning.moving_proof import TrajectoryClearance, safe_until, trajectory_clearance
 from jaxik.planning.plan_result import PlanResult
 from jaxik.planning.planner import PlanOptions, plan_motion
 from jaxik.planning.roadmap import Roadmap, RoadmapOptions, build_roadmap
@@ -26,6 +27,7 @@ __all__ = [
     "Roadmap",
     "RoadmapOptions",
     "Trajectory",
+    "TrajectoryClearance",
     "TrajectoryOptions",
     "TrajectoryResult",
     "build_roadmap",
@@ -34,8 +36,10 @@ __all__ = [
     "optimise_trajectory",
     "plan_motion",
     "plan_path",
+    "safe_until",
     "save_roadmap",
     "save_trajectory",
     "time_path",
+    "trajectory_clearance",
     "trajectory_cost",
 ]

@@ -94,6 +94,16 @@ class PlanOptions(LimitOptions, who="plan_motion"):
     places: int = count(
         default=128, words="number of places at which the speed is chosen (`time_path`), twice as many within a jerk limit"
     )
+    start_time: float = number(
+        default=0.0, unit="s", words="what the clock shows when the motion begins, in a scene in which something moves"
+    )
+    braking: float = number(
+        default=0.3,
+        least=0.0,
+        most=0.9,
+        words="share of the limits of acceleration and jerk that a motion among what moves leaves for braking: so it may brake "
+        "along its way at any moment, and is proven to be at rest before anything touches it; 0 proves no braking",
+    )
 
     def check(self) -> None:
         check_given(f"{self.who}: task", self.task, "the goal")

@@ -53,6 +53,7 @@ class PlanResult(Result):
     trajectory: a `Trajectory`, or None.
     length, bound: the length of the straight lines between the waypoints, and of the one to the nearest goal, which no way is
     shorter than; joints weighted by the most that their unit moves the robot [m]. NaN where there is no motion.
+    meets: what that moves is in the way of a motion, and when, in words; else None.
     off: of which task of `along` a start or goal that is refused is off, and by how much, in words; else None.
     least_duration: the time that no motion to the nearest goal is below [s]: of the joint that needs most for itself. NaN where
         there is no motion, as of a roadmap's `way`.
@@ -79,6 +80,7 @@ class PlanResult(Result):
     planned_in: Any = by_row(default=None)  # a `Place`
     least_duration: Any = float("nan")
     off: Any = by_row(default=None)
+    meets: Any = by_row(default=None)
     ROW: ClassVar = "motion"
     HELP: ClassVar = HELP
 
@@ -133,8 +135,7 @@ class PlanResult(Result):
             return str(one.why)
         told, mend = [reason.text], self.HELP.get(reason, "")
         told[0] = f"{self.where}: " * bool(self.where) + told[0]
-        if self.off:
-            told.append(str(self.off))
+        told += [str(each) for each in (self.off, self.meets) if each]
         if self.offenders and self.where:
             worst, more = self.offenders[0], len(self.offenders) - 1
             told.append(f"{worst}" + f", and {more} more" * bool(more))

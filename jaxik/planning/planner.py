@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxik.checks.options import check_kind, check_seed
 from jaxik.collision.clearances import check_geometry
+from jaxik.collision.moving import MovingScene
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.cells import JOINTS, separated
@@ -27,6 +28,7 @@ from jaxik.planning.kept_improvement import improve
 from jaxik.planning.kept_ways import Along, kept_ways
 from jaxik.planning.limits import AnyLimits, Limits, limit_of, motion_limits
 from jaxik.planning.motion_ends import Answers, Ends, ends, postures_of_each, reached, turned
+from jaxik.planning.moving_plan import Traffic, among_what_moves, standing_of
 from jaxik.planning.path_parts import Part
 from jaxik.planning.plan_options import PlanOptions
 from jaxik.planning.plan_result import Place, PlanResult
@@ -37,6 +39,7 @@ from jaxik.planning.trajectory import JointPath, Trajectory, padded
 from jaxik.planning.ways import LOOKS, blended
 from jaxik.reasons import Reason
 
+DETOUR = 2_000  # rounds of the search for a way through another posture, out of the way of what moves
 EARLY = 15_000  # rounds after which it is asked of an arm of few joints whether there is a way, before they are sought anew
 
 
@@ -45,7 +48,7 @@ def plan_motion(
     start: Any,
     goal: Any,
     *,
-    scene: Scene | Sequence[Scene] | None = None,
+    scene: Scene | MovingScene | Sequence[Scene | MovingScene] | None = None,
     seed: int = 0,
     options: PlanOptions | None = None,
     progress: Callable[[int, int], Any] | None = None,
@@ -75,6 +78,10 @@ def plan_motion(
     to the other. Postures of a pose are then those that keep the tasks. `seed` decides. `progress` is called with the motions
     that are done and their number; of a single one with rounds of the search. `changes` are fields of `PlanOptions`.
 
+    In a `MovingScene` the motion begins when the clock shows `start_time` [s], waits, stops or goes back on its way where it
+    must, and is proven over time, between moments, too: within the errors of all that moves. With a share of the limits for
+    `braking` it may brake along its way at any moment, and is proven to be at rest before anything touches it.
+
     Reasons: SOLVED; INVALID, NaN in the start or the goal; LIMITS, COLLISION of the `start` or the `goal`, whichever is in
     `where`; OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED, no way found within the rounds and the timeout
     that keeps 0.01 mm more than the margin, which is no proof that there is none; OFF_TASK, the start or the goal, whichever is
@@ -86,9 +93,11 @@ def plan_motion(
     """
     check_kind("plan_motion", "robot", robot, Robot)
     asked = ends("plan_motion", robot, start, goal, several_poses=True)
-    several = isinstance(scene, list | tuple)
+    several, moves = isinstance(scene, list | tuple), False
     for each in scene if several else (scene,):  # type: ignore[union-attr]
-        check_kind("plan_motion", "scene", each, Scene, optional=not several)
+        moves = moves or isinstance(each, MovingScene)
+        if not isinstance(each, MovingScene):
+            check_kind("plan_motion", "scene", each, Scene, optional=not several)
     if several:
         asked = asked.of_scenes("plan_motion", len(scene))  # type: ignore[arg-type]
     check_seed("plan_motion", seed)
@@ -101,8 +110,39 @@ def plan_motion(
     if options.along is not None and options.escape:
         raise ValueError("plan_motion: a way out of a collision keeps no tasks; leave out escape or along")
     check_geometry(robot)
-    found = _planned(robot, scene, asked, seed, options, progress)
+    found = (_in_time if moves else _planned)(robot, scene, asked, seed, options, progress)  # type: ignore[operator]
     return found[0] if asked.single else found
+
+
+def _in_time(
+    robot: Robot,
+    scene: MovingScene | Sequence[Scene | MovingScene],
+    asked: Ends,
+    seed: int,
+    options: PlanOptions,
+    progress: Callable[[int, int], Any] | None,
+) -> PlanResult:
+    """Plans each of the problems in a scene in which something moves."""
+    several, shape, share = not isinstance(scene, MovingScene), (robot.num_joints,), 1.0 - options.braking
+    scenes = [standing_of(each) for each in scene] if several else [scene] * len(asked.starts)  # type: ignore[union-attr]
+    most = motion_limits("plan_motion", robot, options.velocity, options.acceleration, shape)
+    jerk = None if options.jerk is None else limit_of("plan_motion", "jerk", options.jerk, shape)
+    kept = Limits(most.velocity, share * most.acceleration), None if jerk is None else share * jerk
+    options = options.changed({"acceleration": kept[0].acceleration, "jerk": kept[1]})
+    pace = Pace(*kept, tip_limits("plan_motion", robot, options.tip_speed, options.tip_turn), options.places)
+
+    def traffic(moving: MovingScene) -> Traffic:
+        timing = lambda paths: timed(robot, paths, pace)
+        return Traffic(robot, moving, options.margin, options.start_time, most.within(jerk), options.braking, timing)
+
+    def others(standing: Scene, starts: np.ndarray, goals: np.ndarray) -> PlanResult:
+        fewer = options.changed({"rounds": min(options.rounds, DETOUR), "improve": None, "escape": False})
+        return _planned(robot, standing, ends("plan_motion", robot, starts, goals, several_poses=True), seed, fewer, None)
+
+    standing = [each.standing for each in scenes] if several else scene.standing  # type: ignore[union-attr]
+    found = _planned(robot, standing, asked, seed, options, progress)
+    free = options.along is None and not options.moving
+    return among_what_moves(found, scenes, traffic, others if free else None, seed)
 
 
 def _planned(

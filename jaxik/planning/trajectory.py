@@ -69,7 +69,7 @@ class JointPath(Pytree):
     def at(self, s: Any) -> Any:
         """q, q' and q'' (..., n) at s (...), from 0 to the sum of the lengths. Traced; `vmap` it over a stack."""
         _check_one("JointPath.at", self.lengths)
-        return _along(jnp, self, jnp.asarray(s))
+        return path_at(jnp, self, jnp.asarray(s))
 
 
 class Trajectory(Result):
@@ -139,7 +139,7 @@ class Trajectory(Result):
         check_finite("sample", dt=dt)
         if not dt > 0.0:
             raise ValueError(f"sample: dt is {dt:g}; it is above zero [s]")
-        whole = self._in_numpy()
+        whole = self.in_numpy()
         if not np.isfinite(whole.duration):
             raise ValueError(f"sample: the trajectory lasts {whole.duration} s; {_ENDLESS[Reason(int(whole.reason))]}")
         if dt > max(SLOWEST, whole.duration) or whole.duration > MOST * dt:
@@ -154,9 +154,15 @@ class Trajectory(Result):
         """The same as `at`, of one motion at times (i,) [s], in float64. Host."""
         _check_one("Trajectory.at_times", self.time)
         t = numbers("at_times: t", t)
-        return Motion(*_state(np, self._in_numpy(), t), t, joint_names=self.joint_names)
+        return Motion(*_state(np, self.in_numpy(), t), t, joint_names=self.joint_names)
 
-    def _in_numpy(self) -> Trajectory:
+    def places_at(self, t: Any) -> np.ndarray:
+        """The way along the path (i,) at times (i,) [s] of one motion, in float64. Host."""
+        _check_one("Trajectory.places_at", self.time)
+        return np.asarray(place_at(np, self.in_numpy(), numbers("places_at: t", t))[1])
+
+    def in_numpy(self) -> Trajectory:
+        """The same in float64 in NumPy. Host."""
         return jax.tree_util.tree_map(lambda x: np.asarray(x, np.float64), self)
 
 
@@ -165,7 +171,7 @@ def _check_one(who: str, array: Any) -> None:
         raise ValueError(f"{who}: a stack of shape {np.shape(array)[:-1]}; take one of it, or jax.vmap this")
 
 
-def _along(xp: Any, path: Any, s: Any) -> Any:
+def path_at(xp: Any, path: Any, s: Any) -> Any:
     """q, q' and q'' (..., n) at s (...)."""
     ends = xp.cumsum(xp.asarray(path.lengths))
     piece = xp.where(
@@ -192,8 +198,8 @@ def along_pieces(c: Any, x: Any) -> Any:
     return q, slope, 2.0 * half_bend
 
 
-def _state(xp: Any, moved: Any, t: Any) -> tuple[Any, Any, Any]:
-    """q, velocity and acceleration (..., n) at t (...)."""
+def place_at(xp: Any, moved: Any, t: Any) -> tuple[Any, Any, Any, Any]:
+    """The interval between moments that t (...) [s] is in, the way along the path there, its speed and its acceleration."""
     time, place, speed = xp.asarray(moved.time), xp.asarray(moved.place), xp.asarray(moved.speed)
     last = len(time) - 2
     i = xp.clip(xp.searchsorted(time, t, side="right") - 1, 0, last)
@@ -202,15 +208,22 @@ def _state(xp: Any, moved: Any, t: Any) -> tuple[Any, Any, Any]:
     if moved.acceleration is None:
         rate = change(speed)
         way = place[i] + (speed[i] + 0.5 * rate * since) * since
-        now = speed[i] + rate * since
-        piece = i // ((last + 1) // len(moved.path.lengths))  # by number: at a corner the way itself, rounded, is in either
+        return i, way, speed[i] + rate * since, rate
+    first = xp.asarray(moved.acceleration)
+    jerk, first = change(first), first[i]
+    way = place[i] + (speed[i] + (0.5 * first + jerk * since / 6.0) * since) * since
+    return i, way, speed[i] + (first + 0.5 * jerk * since) * since, first + jerk * since
+
+
+def _state(xp: Any, moved: Any, t: Any) -> tuple[Any, Any, Any]:
+    """q, velocity and acceleration (..., n) at t (...)."""
+    i, way, now, rate = place_at(xp, moved, t)
+    time = xp.asarray(moved.time)
+    if moved.acceleration is None:
+        piece = i // ((len(time) - 1) // len(moved.path.lengths))  # by number: at a corner the way, rounded, is in either
         q, slope, bend = _within(xp, moved.path, piece, way)
     else:
-        first = xp.asarray(moved.acceleration)
-        jerk, first = change(first), first[i]
-        way = place[i] + (speed[i] + (0.5 * first + jerk * since / 6.0) * since) * since
-        now, rate = speed[i] + (first + 0.5 * jerk * since) * since, first + jerk * since
-        q, slope, bend = _along(xp, moved.path, way)  # either piece: at a corner it is at rest
+        q, slope, bend = path_at(xp, moved.path, way)  # either piece: at a corner it is at rest
     now, rate = (xp.where((t < time[0]) | (t > time[-1]), 0.0, x)[..., None] for x in (now, rate))
     return q, slope * now, bend * now**2 + slope * rate
 

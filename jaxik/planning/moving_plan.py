@@ -1,0 +1,234 @@
+"""Motions in space and time: ways among what stands, timed among what moves, and proven over time.
+
+A way is found as if nothing moved. If its own timing is not proven among what moves, the robot waits before it, is slower, or
+stops on it and goes back, as `moving_search` finds; and where that leads nowhere, ways through other postures are tried, out of
+the way of what comes. Whatever is found is proven by `moving_cells`, with all brakings of it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxik.collision.continuous_collision import joint_reaches
+from jaxik.collision.moving import MovingScene
+from jaxik.collision.scene import Scene
+from jaxik.kinematics.robot import Robot
+from jaxik.planning.braking import usual_brake
+from jaxik.planning.collision_checker import CollisionChecker
+from jaxik.planning.limits import AnyLimits
+from jaxik.planning.moving_cells import Course, Proof, cells_between, proof
+from jaxik.planning.moving_distances import MovingDistances
+from jaxik.planning.moving_parts import backwards, part_of, put_together, slower
+from jaxik.planning.moving_search import Edge, edge_of, legs_of, mapped, open_times, soonest
+from jaxik.planning.plan_result import PlanResult
+from jaxik.planning.trajectory import JointPath, Trajectory, padded
+from jaxik.reasons import Reason
+
+RESOLUTION = 1e-3  # [m] by which a motion must keep more than its margin to be proven
+PACES = 1.0, 1.5, 2.5  # times as long as it needs, a motion may take
+APART, STOPS = 0.35, 6  # [m] of the robot's travel between stops, and how many there are at most
+TRIES = 10  # timings of a way that are proven, or not
+PATIENCE = 8.0  # [s] beside three times a motion's own time, that are looked ahead at most
+DRAWN, TAKEN = 256, 6  # postures that are drawn, and those through which ways are sought
+CALM = 0.04  # [m] beyond the margin that these keep to what moves
+NEAR = 0.6  # [rad, m] about the start and the goal, where half of them are drawn
+LOOKS = 32  # times at which they are looked at
+
+Timed = Callable[[list[JointPath]], list[Trajectory]]
+Planned = Callable[[np.ndarray, np.ndarray], PlanResult]
+
+
+class Stuck(NamedTuple):
+    """What was in the way of the timing that came furthest: an object's number, and when on the clock [s]."""
+
+    object: int
+    time: float
+
+
+@dataclasses.dataclass
+class Traffic:
+    """What moves around a robot from `start` [s] on, and how motions are timed and proven there; `reserve` is the share of its
+    `limits` that a motion leaves for braking, none where it is 0."""
+
+    robot: Robot
+    moving: MovingScene
+    margin: float
+    start: float
+    limits: AnyLimits
+    reserve: float
+    timed: Timed
+
+    def __post_init__(self) -> None:
+        self.weights = joint_reaches(self.robot)
+        self.delay = 0.5 * float(usual_brake(self.limits, self.reserve, self.limits.velocity).lasts) if self.reserve else 0.0
+        self.near = MovingDistances(self.robot, self.moving, self.margin, self.start)
+        self.stuck: Stuck | None = None
+
+    def proven(self, motion: Trajectory) -> Proof:
+        """Whether a motion from the start on is proven with all of its brakings, or some time at which it is not. A braking
+        falls behind by no more time than it goes on, and by no more than half of what the longest one takes."""
+        course = Course.of(motion, self.start, self.weights)
+        cells = cells_between(0.0, float(motion.duration), lambda since: np.minimum(since, self.delay))
+        found = proof(self.near, course, cells, self.margin, RESOLUTION, self.margin, first=True)
+        if found.contact < np.inf and (self.stuck is None or self.start + found.contact > self.stuck.time):
+            self.stuck = Stuck(found.object, self.start + found.contact)
+        return found
+
+    def ahead(self, lasts: float) -> float:
+        """For how long a motion that lasts so long is looked for [s]."""
+        return float(3.0 * lasts + np.clip(self.moving.settled - self.start, 1.0, PATIENCE))
+
+    def motion(self, path: JointPath, via: Sequence[float] = ()) -> Trajectory | None:
+        """A motion along a path, proven among what moves; the robot may stop at the places `via`, too."""
+        (whole,) = self.timed([path])
+        whole = whole.in_numpy()
+        if self.proven(whole).contact == np.inf:
+            return whole
+        lasts = self.ahead(float(whole.duration))
+        chart = mapped(self.near, path, self.weights, self.start, lasts, self.margin, self.delay)
+        last = len(chart.places) - 1
+        if not chart.stands[0, 0] or not whole.place[-1] > 0.0:
+            return None
+        paces = [edge_of(chart, 0, 1, (0, last), slower(whole, pace)) for pace in PACES]
+        found = self._searched(np.array([0, last]), chart, paces)
+        if found is not None:
+            return found
+        stops = self._stops(chart.places, via)
+        return self._searched(stops, chart, self._between(path, chart, stops)) if len(stops) > 2 else None
+
+    def _stops(self, places: np.ndarray, via: Sequence[float]) -> np.ndarray:
+        """The numbers of the places at which the robot may stop, from first to last: places are as far apart as it travels."""
+        count = int(np.clip(len(places) * 0.05 / APART, 2, STOPS)) + 1
+        even = np.linspace(0, len(places) - 1, count).round()
+        passed = [np.argmin(np.abs(places - each)) for each in via]
+        return np.unique(np.concatenate([even, passed])).astype(int)
+
+    def _between(self, path: JointPath, chart: Any, stops: np.ndarray) -> list[Edge]:
+        """The motions from each stop to each other one."""
+        pairs = [(i, k) for i in range(len(stops)) for k in range(i + 1, len(stops))]
+        parts = [part_of(path, *chart.places[stops[[i, k]]]) for i, k in pairs]
+        motions = [each.in_numpy() for each in self.timed(parts)]
+        edges = []
+        for pace in PACES:
+            for (i, k), motion in zip(pairs, motions, strict=True):
+                drawn_out = slower(motion, pace)
+                edges.append(edge_of(chart, i, k, (stops[i], stops[k]), drawn_out))
+                edges.append(edge_of(chart, k, i, (stops[k], stops[i]), backwards(drawn_out)))
+        return edges
+
+    def _searched(self, stops: np.ndarray, chart: Any, edges: list[Edge]) -> Trajectory | None:
+        """The motion of the soonest steps that are proven."""
+        may_depart = np.stack([open_times(chart, edge) for edge in edges])
+        chart = chart._replace(stands=chart.stands.copy())
+        for _ in range(TRIES):
+            steps = soonest(stops, chart, edges, may_depart)
+            if steps is None:
+                return None
+            legs = legs_of(chart, edges, steps)
+            motion = put_together(legs)
+            contact = self.proven(motion).contact
+            if contact == np.inf:
+                return motion
+            k = int(np.searchsorted([leg.departure for leg in legs], contact, side="right")) - 1
+            if k >= 0 and contact <= legs[k].departure + legs[k].motion.time[-1]:
+                may_depart[steps[k].edge, steps[k].departs] = False
+            else:
+                stop = edges[steps[k].edge].last if k >= 0 else 0
+                chart.stands[stops[stop], int(contact / chart.tick)] = False
+        return None
+
+    def words(self) -> str:
+        """What was in the way of the timing that came furthest."""
+        if self.stuck is None:
+            return "no timing was found among what moves"
+        name = self.moving.names[self.stuck.object] if self.stuck.object >= 0 else "something"
+        return f"no timing was found among what moves; the one that came furthest meets '{name}' at {self.stuck.time:.3g} s"
+
+
+def joined_paths(first: JointPath, second: JointPath) -> JointPath:
+    """Both paths, one after the other, of a power of two of pieces."""
+    lengths, curves = (np.concatenate([np.asarray(a), np.asarray(b)]) for a, b in zip(_of(first), _of(second), strict=True))
+    return padded(JointPath(lengths, curves), 2 ** int(np.ceil(np.log2(len(lengths)))))
+
+
+def _of(path: JointPath) -> tuple[Any, Any]:
+    return path.lengths, path.coefficients
+
+
+def detours(traffic: Traffic, start: np.ndarray, goal: np.ndarray, planned: Planned, lasts: float, seed: int) -> Any:
+    """Yields paths from the start to the goal through other postures, the shortest first, the places of these on them, and
+    their waypoints: postures that keep clear of what moves for as long as is looked ahead."""
+    robot, rng = traffic.robot, np.random.default_rng((seed, 43))
+    space = CollisionChecker(robot, traffic.moving.standing, traffic.margin)
+    anywhere = rng.uniform(space.lower, space.upper, (DRAWN // 2, len(start))) if np.isfinite(space.lower).all() else []
+    ends = np.stack([start, goal])[rng.integers(2, size=DRAWN // 2)]
+    close = np.clip(ends + rng.normal(0.0, NEAR, ends.shape), space.lower, space.upper)
+    drawn = np.concatenate([close, anywhere]) if len(anywhere) else close
+    drawn = drawn[~space.hits(drawn)]
+    clock = traffic.start + np.linspace(0.0, traffic.ahead(lasts), LOOKS)
+    clear = (traffic.near.over(drawn, clock) - traffic.moving.errors(clock)).min(axis=(1, 2), initial=np.inf)
+    drawn = drawn[clear > traffic.margin + CALM]
+    far = space.length(drawn - start) + space.length(goal - drawn)
+    drawn = drawn[np.argsort(far, kind="stable")[:TAKEN]]
+    if not len(drawn):
+        return
+    count = len(drawn)
+    ways = planned(np.concatenate([np.tile(start, (count, 1)), drawn]), np.concatenate([drawn, np.tile(goal, (count, 1))]))
+    for i in range(count):
+        if ways.success[i] and ways.success[count + i]:
+            out, back = ways.trajectory[i].path, ways.trajectory[count + i].path
+            waypoints = np.concatenate([ways.waypoints[i], ways.waypoints[count + i][1:]])
+            yield joined_paths(out, back), float(np.sum(out.lengths)), waypoints
+
+
+def among_what_moves(
+    found: PlanResult, scenes: Sequence[MovingScene], traffic: Callable[[MovingScene], Traffic], planned: Any, seed: int
+) -> PlanResult:
+    """The motions of a batch that were planned as if nothing moved, one a scene, timed and proven among what moves, or reasons
+    why not. `planned(scene, starts, goals)` plans others among what stands, or is None where there are to be none."""
+    trajectories, ways, reasons = list(found.trajectory), list(found.waypoints), np.array(found.reason)
+    words: list[str | None] = [None] * len(reasons)
+    where, places = list(found.where), list(found.planned_in)
+    stuck, lengths = np.array(found.stuck, float), np.array(found.length)
+    for i, moving in enumerate(scenes):
+        if not found.success[i]:
+            continue
+        here, way = traffic(moving), ways[i]
+        now = here.near.at(way[:1], np.array([here.start])) - moving.errors(here.start)
+        if not now.min(initial=np.inf) > here.margin:
+            reasons[i], where[i], stuck[i], motion = int(Reason.COLLISION), "start", way[0], None
+            places[i] = dataclasses.replace(places[i], scene=moving.at(here.start))
+        else:
+            motion = here.motion(trajectories[i].path)
+            if motion is None and planned is not None:
+                lasts = float(trajectories[i].duration)
+                others = lambda starts, goals, moving=moving: planned(moving.standing, starts, goals)
+                for path, via, waypoints in detours(here, way[0], way[-1], others, lasts, seed):
+                    motion = here.motion(path, (via,))
+                    if motion is not None:
+                        ways[i], steps = waypoints, np.diff(waypoints, axis=0) * here.weights
+                        lengths[i] = np.linalg.norm(steps, axis=1).sum()
+                        break
+            if motion is None:
+                reasons[i], words[i] = int(Reason.NOT_CONVERGED), here.words()
+        trajectories[i], ways[i] = motion, None if motion is None else ways[i]
+    return dataclasses.replace(
+        found,
+        reason=reasons,
+        where=tuple(where),
+        trajectory=tuple(trajectories),
+        waypoints=tuple(ways),
+        length=lengths,
+        stuck=stuck,
+        planned_in=tuple(places),
+        meets=tuple(words),
+    )
+
+
+def standing_of(scene: Scene | MovingScene) -> MovingScene:
+    """The scene, of which nothing may move."""
+    return scene if isinstance(scene, MovingScene) else MovingScene(scene, {})
