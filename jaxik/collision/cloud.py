@@ -225,7 +225,7 @@ _PLACES, _LEAF_BOXES = HostKernel(_place, 1), HostKernel(_leaf_box, 1)
 def _placed(center: Any, radius: Any, name: str) -> Cloud:
     """The cloud of points that are in an order, with their boxes: those of a level two by two in that above."""
     rows = center.reshape(-1, LEAF, 3)
-    if known := is_known(center):
+    if known := isinstance(center, np.ndarray):  # JAX's arrays are a trace's, also where they are no tracers: the radius may be
         with jax.enable_x64(center.dtype == np.float64):
             (level,) = _LEAF_BOXES(rows)
     else:

@@ -160,6 +160,11 @@ def test_its_own_points_have_a_gradient():
     assert (ahead - behind) / 2e-6 == pytest.approx(np.linalg.norm(slope[row]), abs=1e-6)
 
 
+def test_its_radius_has_a_gradient():
+    near = lambda radius: clearance(PANDA, EMPTY.with_cloud(SPREAD, radius).moved("cloud", jaxik.pose([0.1, 0.0, 0.0])), Q[0])
+    assert jax.grad(near)(RADIUS) == -1.0
+
+
 def test_everything_that_asks_takes_it():
     points = walls(2000, RNG)
     both = jaxik.make_scene(boxes=[[0.0, 0.8, 0.5, 0.2, 0.2, 0.2]]).with_cloud(points, RADIUS)
