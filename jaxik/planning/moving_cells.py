@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxik.planning.moving_delay import Delay
 from jaxik.planning.moving_distances import MovingDistances
 from jaxik.planning.trajectory import JointPath, Trajectory, place_at
 
@@ -81,11 +82,12 @@ def proof(
     margin: float,
     resolution: float,
     enough: float,
+    delay: Delay | None = None,
     first: bool = False,
 ) -> Proof:
     """Proves that all of the cells keep the margin [m], or tells until when they do: a motion that keeps `margin + resolution`
-    is proven, and one that comes to the margin never is. Clearances above `enough` are not told apart. With `first` any moment
-    that touches ends it, before which not all is proven."""
+    is proven, and one that comes to the margin never is. Clearances above `enough` are not told apart. With a `delay`
+    cells are no later than that. With `first` any moment that touches ends it, before which not all is proven."""
     bound, least, nearest, contact, who, count = np.inf, np.inf, np.nan, np.inf, -1, 0
     moving = near.moving
     while len(cells.begin):
@@ -120,6 +122,9 @@ def proof(
         cells = cells.some(left).halved(late).halved(np.tile(late, 2))  # in quarters: calls cost more than cells
         cells = cells.some(cells.begin < contact)
         cells = cells._replace(end=np.minimum(cells.end, contact))
+        if delay is not None and len(cells.begin):
+            cells = cells._replace(most=np.minimum(cells.most, delay.within(cells.begin, cells.end)))
+            cells = cells.some(cells.least <= cells.most)
     return Proof(bound if contact == np.inf else min(bound, margin), contact, who, nearest, count)
 
 
@@ -129,10 +134,10 @@ def _drop(travelled: Callable[[np.ndarray], Any], begin: np.ndarray, middle: np.
     return np.maximum(travelled(end) - at, at - travelled(begin))
 
 
-def cells_between(first: float, last: float, delay: Callable[[np.ndarray], np.ndarray] | None = None) -> Cells:
-    """Cells for a motion from one of its own times to another [s], as late as a `delay` allows, which does not fall."""
+def cells_between(first: float, last: float, delay: Delay | None = None) -> Cells:
+    """Cells for a motion from one of its own times to another [s], as late as a `delay` allows."""
     edges = np.linspace(first, last, FIRST + 1)
-    late = np.zeros(FIRST) if delay is None else delay(edges[1:] - first)
+    late = np.zeros(FIRST) if delay is None else delay.within(edges[:-1], edges[1:])
     return Cells(edges[:-1], edges[1:], np.zeros(FIRST), late)
 
 
