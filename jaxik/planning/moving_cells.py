@@ -108,7 +108,7 @@ def proof(
         if hit.min() < contact:
             contact, who = float(hit.min()), int(np.argmin(here[np.argmin(hit)]))
         level = min(max(least - resolution, margin), enough)
-        done = low > level
+        done = (low > level) | (low == np.inf)
         bound = min(bound, float(low[done].min(initial=np.inf)))
         behind = others.max(axis=1, initial=0.0) * (cells.most - cells.least)
         ahead = robot * (ends[1] - ends[0]) + others.max(axis=1, initial=0.0) * (cells.end - cells.begin)
