@@ -130,8 +130,8 @@ class Track(Constant):
     def _travels(self) -> tuple[np.ndarray, np.ndarray, float, float]:
         """The way of its origin and the angle (m,) at the times, and how fast both go on before and after."""
         ways = np.linalg.norm(np.diff(self.poses[:, :3, 3], axis=0), axis=-1), np.linalg.norm(self.turns, axis=-1)
-        since = (np.concatenate([[0.0], np.cumsum(x)]) for x in ways)
-        return *since, float(np.linalg.norm(self.velocity)), float(np.linalg.norm(self.turning))
+        way, angle = (np.concatenate([[0.0], np.cumsum(x)]) for x in ways)
+        return way, angle, float(np.linalg.norm(self.velocity)), float(np.linalg.norm(self.turning))
 
     @functools.cached_property
     def _turns(self) -> bool:

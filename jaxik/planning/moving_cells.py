@@ -2,9 +2,9 @@
 
 A cell is an interval of the motion's own time tau, and one of a delay: what a motion does that is behind its time, such as one
 that brakes. So the robot is at q(tau) when the clock shows start + tau + delay. In the middle of a cell all distances are
-measured at once, and anywhere else in it an object is no nearer than that, less what the robot's points travel at most, less
-what the object's points travel at most, less how far off it may be at the end. A cell that this does not prove is halved: the
-motion is proven, or a configuration is found that touches.
+measured at once. Anywhere else in it an object is no nearer than that, less what the robot's points travel at most, less what
+the object's points travel at most, less how much more it may be off at the end. A cell that this does not prove is halved:
+the motion is proven, or a configuration is found that touches.
 """
 
 from __future__ import annotations
@@ -94,11 +94,12 @@ def proof(
         middle, late = 0.5 * (cells.begin + cells.end), 0.5 * (cells.least + cells.most)
         clock = course.start + middle + late
         ends = course.start + cells.begin + cells.least, course.start + cells.end + cells.most
-        measured = near.at(course.trajectory.at_times(middle).q, clock) - ROUNDED
+        measured = near.at(np.asarray(course.trajectory.at_times(middle).q), clock) - ROUNDED
         here = measured - moving.errors(clock)
         robot = _drop(course.travelled, cells.begin, middle, cells.end)
         others = _drop(moving.travelled, ends[0], clock, ends[1])
-        low = np.min(measured - moving.errors(ends[1]) - others - robot[:, None], axis=1, initial=np.inf)
+        others += moving.errors(ends[1]) - moving.errors(clock)
+        low = np.min(here - others - robot[:, None], axis=1, initial=np.inf)
         now, count = np.min(here, axis=1, initial=np.inf), count + len(middle)
         if now.min() < least:
             least, nearest = float(now.min()), float(middle[np.argmin(now)])

@@ -175,10 +175,11 @@ def detours(traffic: Traffic, start: np.ndarray, goal: np.ndarray, planned: Plan
     standing = traffic.moving.standing
     robot, rng = traffic.robot, np.random.default_rng((seed, 43))
     space = CollisionChecker(robot, traffic.moving.standing, traffic.margin)
-    anywhere = rng.uniform(space.lower, space.upper, (DRAWN // 2, len(start))) if np.isfinite(space.lower).all() else []
-    ends = np.stack([start, goal])[rng.integers(2, size=DRAWN // 2)]
+    ends = np.stack([start, goal])[rng.integers(2, size=DRAWN)]
     close = np.clip(ends + rng.normal(0.0, NEAR, ends.shape), space.lower, space.upper)
-    drawn = np.concatenate([close, anywhere]) if len(anywhere) else close
+    bounded = np.isfinite(space.upper - space.lower)
+    anywhere = rng.uniform(np.where(bounded, space.lower, -np.pi), np.where(bounded, space.upper, np.pi), close.shape)
+    drawn = np.concatenate([close[: DRAWN // 2], anywhere[: DRAWN // 2]])
     drawn = drawn[~space.hits(drawn)]
     clock = traffic.start + np.linspace(0.0, traffic.ahead(lasts), LOOKS)
     clear = (traffic.near.over(drawn, clock) - traffic.moving.errors(clock)).min(axis=(1, 2), initial=np.inf)
