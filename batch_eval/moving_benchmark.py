@@ -141,7 +141,8 @@ def judged(robot: jaxik.Robot, where: Cell, motion: Trajectory, off: np.ndarray,
     clock = np.append(np.arange(0.0, float(motion.duration), TICK), float(motion.duration))
     state = motion.at_times(clock)
     balls, boxes = distances(robot, where, np.asarray(state.q), clock, off)
-    shares = [np.abs(state.velocity) / limits.velocity, np.abs(state.acceleration) / limits.acceleration]
+    speed = np.diff(np.asarray(state.q)[:-1], axis=0) / TICK  # by differences: a jump would show
+    shares = [np.abs(speed) / limits.velocity, np.abs(np.diff(speed, axis=0)) / TICK / limits.acceleration]
     if jerk is not None:
         shares.append(np.abs(np.diff(state.acceleration[:-1], axis=0)) / TICK / jerk)
     return Verdict(float(balls.min()), float(boxes.min()), tuple(float(each.max()) for each in shares))

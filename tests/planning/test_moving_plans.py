@@ -207,6 +207,7 @@ def test_parts_of_a_path_are_the_path_and_legs_are_one_motion(arm):
             np.testing.assert_allclose(there.velocity[1:-1], own.velocity[1:-1], atol=1e-6)
         waits = motion.at_times(np.linspace(0.51 + float(first.duration), 0.59 + float(first.duration), 5))
         np.testing.assert_allclose(waits.velocity, 0.0, atol=1e-9)
+        np.testing.assert_allclose(waits.q, np.tile(first.at_times([first.duration]).q, (5, 1)), atol=1e-9)
 
 
 @pytest.mark.parametrize("jerk", [None, 80.0])
