@@ -52,6 +52,7 @@ from tables.postures import (
     sweep_markdown,
 )
 from tables.programs import programs_markdown
+from tables.replanning import replanning_markdown
 from tables.teleoperation import teleoperation_markdown
 from tables.tips import tips_markdown
 from tables.tool_paths import tool_paths_markdown
@@ -101,6 +102,7 @@ TABLES = {
     "predictive_benchmark.json": predictive_markdown,
     "predictive_statistics.json": statistics_markdown,
     "random_programs.json": programs_markdown,
+    "replan_benchmark.json": replanning_markdown,
     "roadmap_benchmark.json": roadmap_markdown,
     "slit_benchmark.json": slit_markdown,
     "sweep_benchmark.json": sweep_markdown,
@@ -134,7 +136,7 @@ def tables() -> list[str]:
 
 def overview() -> str:
     """A row for each kind of work: how long one takes in a batch, and what the nearest others take."""
-    rows = [*_of_arms(), *_of_postures(), *_of_motions()]
+    rows = [*_of_arms(), *_of_postures(), *_of_motions(), *_of_live_worlds(), *_of_exports()]
     return "\n".join(["| work | jaxik | others |", "| --- | --- | --- |", *(f"| {' | '.join(row)} |" for row in rows)])
 
 
@@ -151,15 +153,20 @@ def _of_arms() -> list[tuple[str, str, str]]:
 
 
 def _of_postures() -> list[tuple[str, str, str]]:
-    ik, goals = (_result("ik_benchmark.json")[name] for name in ("panda", "goals"))
-    alone = next(row for row in ik if row["who"] == "Panda: jaxik" and row["targets"] == 1)
+    ik, alone = _result("ik_benchmark.json")["panda"], _result("one_target_benchmark.json")
     other = min((row for row in ik if "jaxik" not in row["who"]), key=lambda row: row["us_each"])
-    solved = lambda row: f"{duration(row['us_each'])}, {100 * row['success']:.0f} %"
-    found = f"{goals['p50_ms']:.1f} ms, {round(goals['goals'] * goals['solved'])} of {goals['goals']} solved"
-    others = f"{other['who'].removeprefix('Panda: ')}: {solved(other)}"
+    solved = lambda us, share: f"{duration(us)}, {100 * share:.0f} %"
+    others = f"{other['who'].removeprefix('Panda: ')}: {solved(other['us_each'], other['success'])}"
+    ours, peer = (next(r for r in alone["arms"]["Panda"]["calls"] if r["who"] == who) for who in ("solve_ik", "TRAC-IK"))
+    goals = alone["goals"]
+    found = f"{duration(1e3 * goals['solve_ik']['p50_ms'])}, {goals['solve_ik']['solved']} of {goals['goals']} solved"
     return [
-        ("inverse kinematics of a Panda, 2,000 poses", f"{solved(ik[0])} solved", others),
-        ("the same, one pose a call", duration(alone["us_each"]), "-"),
+        ("inverse kinematics of a Panda, 2,000 poses", f"{solved(ik[0]['us_each'], ik[0]['success'])} solved", others),
+        (
+            "the same, one pose a call",
+            f"{solved(ours['p50_us'], ours['solved'])} solved",
+            f"TRAC-IK: {solved(peer['p50_us'], peer['solved'])}",
+        ),
         ("a Panda's goal among obstacles, one a call", found, "-"),
     ]
 
@@ -180,6 +187,21 @@ def _of_motions() -> list[tuple[str, str, str]]:
         ("a target of a reach map over a slide, with proof", target, f"EAIK in a loop, no proof: {eaik}"),
         (sample, f"{ahead['p50_ms']:.1f} ms", casadi),
     ]
+
+
+def _of_live_worlds() -> list[tuple[str, str, str]]:
+    cloud = next(row for row in _result("cloud_benchmark.json")["clouds"] if row["points"] == 100_000)
+    each = {who: duration(1e6 * cloud[who]["clearance_s"]) for who in ("jaxik", "scipy", "coal")}
+    others = f"SciPy, a tree: {each['scipy']}; coal, an octree, from Python: {each['coal']}"
+    return [("clearance of a Panda to a cloud of 100,000 points", each["jaxik"], others)]
+
+
+def _of_exports() -> list[tuple[str, str, str]]:
+    rows = _result("export_benchmark.json")["rows"]
+    times = {row["who"]: row["ns"] for row in rows if (row["work"], row["kind"]) == ("pose_and_jacobian", "float")}
+    other = min((who for who in times if who.startswith("CasADi")), key=lambda who: float(times[who]))
+    told = lambda who: duration(1e-3 * times[who])
+    return [("a Panda's pose and Jacobian in C, one a call", told("jaxik"), f"{other}: {told(other)}")]
 
 
 def _ours(result: dict[str, Any], work: str, name: str, *others: str) -> tuple[str, str, str]:

@@ -2,10 +2,10 @@
 
 Here is what everybody needs; the rest is in the packages, which are there after `import jaxik`: `kinematics`,
 `dynamics`, `analytic`, `homotopy`, `collision`, `fields`, `sensing`, `costs`, `fitting`, `files`, `ik`, `motions`, `planning`,
-`identification`, `estimation`, `touch`, `teleoperation`, `reach`, `harvesting`, `sweeps`, `view`, `codegen`, and, knowing no
-robot, `spatial`, `optimise` and `spmd`. Each docstring says where its function runs: "Traced." takes one configuration, and is
-for `jit`, `vmap` and `grad`; "Host driver." takes many, chunks and pads them, and gives NumPy; "Host." runs once, outside of
-JAX's transformations.
+`replanning`, `identification`, `estimation`, `touch`, `teleoperation`, `reach`, `harvesting`, `sweeps`, `view`, `codegen`, and,
+knowing no robot, `spatial`, `optimise` and `spmd`. Each docstring says where its function runs: "Traced." takes one
+configuration, and is for `jit`, `vmap` and `grad`; "Host driver." takes many, chunks and pads them, and gives NumPy; "Host."
+runs once, outside of JAX's transformations.
 """
 
 import importlib
@@ -41,7 +41,8 @@ with _uncollected():
     from jaxik.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from jaxik import codegen, estimation, fields, harvesting, identification, motions, planning, reach, sensing, sweeps
+    from jaxik import codegen, estimation, fields, harvesting, identification, motions, planning, reach, replanning, sensing
+    from jaxik import sweeps as sweeps
     from jaxik import teleoperation as teleoperation
     from jaxik import touch as touch
     from jaxik import view as view
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from jaxik.harvesting import harvest
     from jaxik.motions import follow, predict
     from jaxik.planning import plan_motion, plan_path, safe_until, trajectory_clearance
+    from jaxik.replanning import Replanner
     from jaxik.sweeps import sweep
 
 __all__ = [
@@ -59,6 +61,7 @@ __all__ = [
     "MovingScene",
     "Prepared",
     "Reason",
+    "Replanner",
     "Robot",
     "Scene",
     "Solver",
@@ -104,6 +107,7 @@ __all__ = [
     "predict",
     "prepare",
     "reach",
+    "replanning",
     "safe_until",
     "save",
     "sensing",
@@ -126,6 +130,7 @@ _LATE = {  # packages that wait until they are asked for, and what stands here o
     "motions": "follow predict",
     "planning": "plan_motion plan_path safe_until trajectory_clearance",
     "reach": "",
+    "replanning": "Replanner",
     "sensing": "",
     "sweeps": "sweep",
     "teleoperation": "",

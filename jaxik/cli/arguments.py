@@ -92,8 +92,8 @@ class ShapedRobotArguments(RobotArguments):
 
 
 @dataclasses.dataclass(kw_only=True)
-class SearchArguments(ShapedRobotArguments):
-    """A robot that keeps clear of what is around it, by a search."""
+class AroundArguments:
+    """What is around a robot."""
 
     scene: str | None = None
     """A shipped scene or a scene file: obstacles to keep clear of; without one, the robot keeps clear of itself."""
@@ -101,8 +101,6 @@ class SearchArguments(ShapedRobotArguments):
     """Points to keep clear of, too (.ply, .xyz, .pcd, .npy, .npz), in metres in the scene's frame; an object called cloud."""
     cloud_radius: float = 0.005
     """The radius of a ball around each of them [m]."""
-    seed: int = 0
-    """Another number, another (deterministic) search."""
 
     def around(self) -> jaxik.Scene | None:
         """The scene with the cloud; None where neither is given."""
@@ -111,6 +109,14 @@ class SearchArguments(ShapedRobotArguments):
             return scene
         points = jaxik.files.load_cloud(self.cloud)
         return (scene or jaxik.make_scene()).with_cloud(points, self.cloud_radius)
+
+
+@dataclasses.dataclass(kw_only=True)
+class SearchArguments(AroundArguments, ShapedRobotArguments):
+    """A robot that keeps clear of what is around it, by a search."""
+
+    seed: int = 0
+    """Another number, another (deterministic) search."""
 
 
 def read_posture(words: Sequence[str], flag: str = "--posture") -> dict[str, float] | None:

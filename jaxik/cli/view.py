@@ -4,25 +4,33 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import tyro
 
 import jaxik
-from jaxik.cli.arguments import ShapedRobotArguments
+from jaxik.cli.arguments import AroundArguments, ShapedRobotArguments
+from jaxik.fields import load_field
 from jaxik.files import link_meshes
 from jaxik.harvesting import plan_harvest
+from jaxik.replanning import load_log
+from jaxik.sensing import load_octomap
+
+LOGS = (".jsonl", ".log")
 
 
 @dataclasses.dataclass(kw_only=True)
-class ViewArguments(ShapedRobotArguments):
-    """A page in the browser: the robot with joints to drag, the scene, a sweep's map, each fruit's posture and the motions."""
+class ViewArguments(AroundArguments, ShapedRobotArguments):
+    """A page in the browser: the robot with joints to drag, what is around it, a sweep's map, each fruit's posture and the
+    motions, or a replanner's log."""
 
     SEVERAL: ClassVar[bool] = True
     robot: tyro.conf.Positional[str] = "p6r"
-    """A shipped model or a robot file (.urdf, .xml, .toml)."""
-    scene: str | None = None
-    """A shipped scene or a scene file."""
+    """A shipped model or a robot file (.urdf, .xml, .toml); or the log of a replanner (.jsonl, .log), which is played."""
+    field: Path | None = None
+    """A distance field to show, too (.npz, .zarr): its surface, and slices through it; an object called field."""
+    octomap: Path | None = None
+    """An octree of OctoMap (.bt): what is occupied, and what no camera has seen."""
     store: Path | None = None
     """What `jaxik sweep` wrote: its map."""
     harvest: bool = False
@@ -44,18 +52,36 @@ class ViewArguments(ShapedRobotArguments):
             raise ValueError(f"--port {self.port}: it is from 1 to 65535")
         if self.teleop and len(self.tip) > 1:
             raise ValueError("--teleop: steers one tip; name --tip once")
+        own = {name: getattr(self, name) for name in ("host", "port")}
+        if Path(self.robot).suffix in LOGS:
+            log = load_log(self.robot)
+            page = Page(log.robot, scene=log.records[0].scene if log.records else log.scene, log=log, **own)
+        else:
+            page = self._page(own)
+        print(f"open {page.url} in a browser; Ctrl-C ends", flush=True)
+        page.wait()
+
+    def _page(self, own: dict[str, Any]) -> Any:
+        """The page of a robot, what is around it, and what is made with it."""
+        from jaxik.view import Page
+
         how = self.loading()
         robot = jaxik.load(self.robot, **how)
         harvest = self.harvest or self.motions
         if harvest and self.scene is None:
             asked = "harvest" if self.harvest else "motions"
             raise ValueError(f"--{asked}: needs a --scene with fruits, e.g. --scene cucumber_row")
-        scene = None if self.scene is None else jaxik.load_scene(self.scene)
+        scene = self.around()
         picked = jaxik.harvest(robot, scene) if harvest and scene is not None else None
         plan = plan_harvest(picked) if self.motions and picked is not None else None
         read = self.meshes and not robot.surfaces  # which are what is to be seen
         meshes = link_meshes(self.robot, **{name: how[name] for name in ("tip", "base", "posture", "packages")}) if read else ()
-        own = {name: getattr(self, name) for name in ("store", "teleop", "host", "port")}
-        page = Page(robot, scene=scene, harvest=picked, plan=plan, meshes=meshes, **own)
-        print(f"open {page.url} in a browser; Ctrl-C ends", flush=True)
-        page.wait()
+        own |= {name: getattr(self, name) for name in ("store", "teleop")}
+        return Page(robot, scene=scene, harvest=picked, plan=plan, meshes=meshes, **own)
+
+    def around(self) -> jaxik.Scene | None:
+        """The scene with the cloud, the field and the octree; None where nothing is given."""
+        scene = super().around()
+        if self.field is not None:
+            scene = (scene or jaxik.make_scene()).with_field(load_field(self.field), name="field")
+        return scene if self.octomap is None else load_octomap(self.octomap).in_scene(scene)

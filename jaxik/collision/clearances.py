@@ -29,7 +29,9 @@ from jaxik.spmd import TEAM, kernel
 from jaxik.spmd.trace import TEAM_SIZE
 
 
-def clearance(robot: Robot, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[jax.Array, ""]:
+def clearance(
+    robot: Robot, scene: Scene | Grouped | None, q: Float[Array, " n"], *, within: Any = None
+) -> Float[jax.Array, ""]:
     """The smallest signed distance of the robot to the scene and to itself [m]; negative is depth of penetration: the
     shortest way out, of what is in a mesh a bound (`distance`). Where volumes are near, a fitted robot's convex parts decide,
     an exact one's triangles (`own_shape`): it is then 10 mm at most, or 25 mm. Traced.
@@ -38,21 +40,26 @@ def clearance(robot: Robot, scene: Scene | Grouped | None, q: Float[Array, " n"]
     lines and triangles [Schuetz 2017, sec. 4.2.2] and for boxes and cylinders. Infinite where there is nothing to hit. The
     gradient is that of the closest pair; where a sphere's centre lies on a point it is 0.
 
+    `within` [m] is how far away anything matters: what is further is not looked for, which saves most of the time among many
+    points, and the clearance is then `within`, with the gradient 0.
+
     A scene that is known while JAX traces is ordered by place, so that most of it need not be measured: close over it, or give
     what `bvh.grouped` makes of it. Raises `ValueError` for a robot without collision geometry, or whose meshes were
     not read.
     """
-    return _clearance(robot, _around("clearance", robot, scene, q), q)
+    return _clearance(robot, _around("clearance", robot, scene, q), q, within)
 
 
-def link_clearances(robot: Robot, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[jax.Array, " k"]:
+def link_clearances(
+    robot: Robot, scene: Scene | Grouped | None, q: Float[Array, " n"], *, within: Any = None
+) -> Float[jax.Array, " k"]:
     """The clearance of each link that has collision geometry, in the order of the links [m]; `clearance` is their minimum.
     Traced.
 
     A pair of links counts for the later one. As constraints of an optimiser these are smoother than their minimum, which jumps
-    from link to link.
+    from link to link. `within` [m] is that of `clearance`, for each link.
     """
-    return _link_clearances(robot, _around("link_clearances", robot, scene, q), q)
+    return _link_clearances(robot, _around("link_clearances", robot, scene, q), q, within)
 
 
 def collides(robot: Robot, scene: Scene | Grouped | None, q: Float[Array, " n"], *, margin: Any = 0.0) -> Bool[jax.Array, ""]:
@@ -162,19 +169,26 @@ def _pairs_of_leaves(trees: bvh.RobotTrees, around: Grouped) -> int:
 
 
 @kernel(models=1, order=_order)
-def _clearance(robot: Robot, around: Grouped, q: Any) -> Any:
-    return _measured(robot, around, q, lambda space, then, tracked: then(space.all(tracked=tracked)))
+def _clearance(robot: Robot, around: Grouped, q: Any, within: Any) -> Any:
+    def search(space: Space, then: Callable[[Any], Any], tracked: bool, within: Any) -> Any:
+        return then(space.all(jnp.inf if within is None else within, tracked))
+
+    return _measured(robot, around, q, search, within)
 
 
 @kernel(models=1, order=_order)
-def _link_clearances(robot: Robot, around: Grouped, q: Any) -> Any:
-    return _measured(robot, around, q, lambda space, then, tracked: space.each(then, tracked))
+def _link_clearances(robot: Robot, around: Grouped, q: Any, within: Any) -> Any:
+    def search(space: Space, then: Callable[[Any], Any], tracked: bool, within: Any) -> Any:
+        each = None if within is None else jnp.broadcast_to(jnp.asarray(within, space.dtype), (len(space.trees.links),))
+        return space.each(then, tracked, each)
+
+    return _measured(robot, around, q, search, within)
 
 
 @kernel(models=2)
 def by_object(robot: Robot, count: int, around: Grouped, q: Any) -> Any:
     """`object_clearances` (count,) to obstacles that are ordered so."""
-    return _measured(robot, around, q, lambda space, then, tracked: space.objects(count, then, tracked))
+    return _measured(robot, around, q, lambda space, then, tracked, _: space.objects(count, then, tracked))
 
 
 @kernel(models=1, order=_order)
@@ -207,29 +221,32 @@ def _too_near(robot: Robot, around: Grouped, q: Any, margin: Any, settled: Calla
     return ~((least >= margin) & (_unsound(robot, around, q) == 0.0))
 
 
-def _measured(robot: Robot, around: Grouped, q: Any, search: Callable[..., Any]) -> Any:
+def _measured(robot: Robot, around: Grouped, q: Any, search: Callable[..., Any], within: Any = None) -> Any:
     """The distances that `search` finds, whose derivative by q is that of `Space.slopes`."""
     q = as_configuration(robot, q)
+    within = None if within is None else lax.stop_gradient(jnp.asarray(within, q.dtype))
 
-    def direct(around: Grouped, q: Any) -> Any:
+    def direct(around: Grouped, q: Any, within: Any) -> Any:
         space = Space(robot, around, q)
-        return search(Space(*stop_gradients((robot, around, q))), lambda found: _seen(space.gap(found)), True)
+        found = lambda found: _seen(space.gap(found))
+        return search(Space(*stop_gradients((robot, around, q))), found, True, within)
 
-    def plain(around: Grouped, q: Any) -> Any:
-        return search(Space(robot, around, q), lambda found: _seen(found.distance), False)
+    def plain(around: Grouped, q: Any, within: Any) -> Any:
+        return search(Space(robot, around, q), lambda found: _seen(found.distance), False, within)
 
     def rule(primals: Any, tangents: Any) -> Any:
         if not all(map(_is_zero, jax.tree_util.tree_leaves(tangents[0], is_leaf=_is_zero))):  # the scene moves, too
             return jax.jvp(direct, primals, jax.tree_util.tree_map(_materialised, tangents, is_leaf=_is_zero))
-        space, fixed = Space(robot, *primals), Space(robot, *stop_gradients(primals))
-        value, slopes = search(fixed, lambda found: (_seen(found.distance), space.slopes(found)), True)
+        around, q, within = primals
+        space, fixed = Space(robot, around, q), Space(robot, *stop_gradients((around, q)))
+        value, slopes = search(fixed, lambda found: (_seen(found.distance), space.slopes(found)), True, within)
         turned = _materialised(tangents[1])
         return value, sum(slope * turned[j] for j, slope in enumerate(slopes))
 
     measure = jax.custom_jvp(plain)
     measure.defjvp(rule, symbolic_zeros=True)
     shaped = any(isinstance(leaf, jax.Array) for leaf in jax.tree_util.tree_leaves(robot))  # it may be differentiated itself
-    return (direct if shaped else measure)(around, q) + _unsound(robot, around, q)
+    return (direct if shaped else measure)(around, q, within) + _unsound(robot, around, q)
 
 
 def _unsound(robot: Robot, around: Grouped, q: Any) -> Any:

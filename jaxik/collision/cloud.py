@@ -7,7 +7,8 @@ build as to sort numbers. Its shape depends on the room alone: another cloud wit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -17,7 +18,8 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, as_numbers, check_shape, is_known, numbers
 from jaxik.checks.options import as_count, shown
-from jaxik.collision.leaf_rows import FAR
+from jaxik.collision.leaf_rows import FAR, SLACK
+from jaxik.collision.obstacle_kinds import LIMIT
 from jaxik.pytree import Constant, static
 from jaxik.spmd.host import HostKernel
 
@@ -85,6 +87,23 @@ class Cloud(Constant):
         """The cloud, moved by a pose (4, 4), or out of the way, where that is None."""
         return self.away() if pose is None else self.moved(pose)
 
+    def beside(self, apart: Callable[[np.ndarray], np.ndarray], within: float) -> np.ndarray:
+        """The numbers (m,) of points among which the nearest to each of v shapes is, if its ball is `within` a distance [m];
+        `apart` tells the signed distances (b, v) [m] of places (b, 3) from the shapes. Host."""
+        some, boxes, leaves = np.ones(1, int), np.asarray(self.boxes), len(self.boxes) // 2
+        while True:
+            low, high = boxes[some, :3].astype(float), -boxes[some, 3:].astype(float)
+            there = low[:, 0] <= high[:, 0]
+            some, low, high = some[there], low[there], high[there]
+            gaps, half = apart(0.5 * (low + high)), 0.5 * np.linalg.norm(high - low, axis=1)[:, None] + SLACK
+            most = np.minimum((gaps + half).min(axis=0, initial=np.inf), within + float(self.radius))
+            some = some[(gaps - half <= most).any(axis=1)]
+            if not len(some) or some[0] >= leaves:
+                break
+            some = (2 * some[:, None] + [0, 1]).ravel()
+        rows = ((some - leaves)[:, None] * LEAF + np.arange(LEAF)).ravel()
+        return np.asarray(rows[np.asarray(self.center)[rows, 0] < FAR / 2.0])
+
     def roomy(self, room: int) -> Cloud:
         """The same in arrays for `room` points, one of `ROOMS` and no fewer than these are for."""
         if room == self.room:
@@ -143,8 +162,9 @@ def check_cloud(who: str, cloud: Cloud) -> None:
 
 def _order(who: str, points: np.ndarray) -> np.ndarray:
     """The numbers of the points (n, 3) that are finite, along Morton's curve."""
+    middle = _middle(points, np)
     with jax.enable_x64(False):  # an order needs no more
-        (places,) = _PLACES(points, _middle(points, np))
+        (places,) = _PLACES(points, middle)
     # numbers are sorted faster than they are ordered: the place above, the point's number below
     keys = np.sort(places.astype(np.uint64) << np.uint64(32) | np.arange(len(places), dtype=np.uint64))
     last = np.uint64(TOO_FAR) << np.uint64(32)
@@ -154,6 +174,9 @@ def _order(who: str, points: np.ndarray) -> np.ndarray:
         raise ValueError(
             f"{who}: point {row + 1} is {shown(points[row])}, over {REACH:g} m away; lengths are metres, not millimetres"
         )
+    if LIMIT < np.abs(middle).max() < FAR / 2.0:
+        told = f"most of the points are over {LIMIT:g} m away; are they in millimetres? give points / 1000"
+        warnings.warn(f"{who}: {told}", stacklevel=4)
     return np.asarray(numbers_of(keys[:near]))
 
 
@@ -202,7 +225,7 @@ _PLACES, _LEAF_BOXES = HostKernel(_place, 1), HostKernel(_leaf_box, 1)
 def _placed(center: Any, radius: Any, name: str) -> Cloud:
     """The cloud of points that are in an order, with their boxes: those of a level two by two in that above."""
     rows = center.reshape(-1, LEAF, 3)
-    if known := is_known(center):
+    if known := isinstance(center, np.ndarray):  # JAX's arrays are a trace's, also where they are no tracers: the radius may be
         with jax.enable_x64(center.dtype == np.float64):
             (level,) = _LEAF_BOXES(rows)
     else:

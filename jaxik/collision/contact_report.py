@@ -146,9 +146,14 @@ class _Pairs:
 
     def told(self, kernel: Callable[..., HostKernel], other: Any, volume: Any) -> list[np.ndarray]:
         """Returns what a kernel tells of pairs, given by their rows."""
-        (mine, ours), (beside, theirs) = map(jax.tree_util.tree_flatten, (self.volumes, self.others))
-        rows = [np.asarray(x, np.float64)[volume] for x in mine] + [np.asarray(x, np.float64)[other] for x in beside]
-        return kernel(self.gap, ours, theirs)(np.stack(rows, axis=1))
+        return _told(kernel, self.gap, self.volumes, self.others, other, volume)
+
+
+def _told(kernel: Callable[..., HostKernel], gap: Gap, volumes: Any, others: Any, other: Any, volume: Any) -> list[np.ndarray]:
+    """What a kernel tells of pairs of volumes and what is beside them, given by their rows."""
+    (mine, ours), (beside, theirs) = map(jax.tree_util.tree_flatten, (volumes, others))
+    rows = [np.asarray(x, np.float64)[volume] for x in mine] + [np.asarray(x, np.float64)[other] for x in beside]
+    return kernel(gap, ours, theirs)(np.stack(rows, axis=1))
 
 
 class _Depths(_Pairs):
@@ -186,11 +191,25 @@ def _with_scene(robot: Robot, scene: Scene | None, volumes: dict[int, Skeleton],
             if kind == "triangles":
                 yield _Depths(_DEPTH, _sampled(volumes), others, owners, meet)
     for cloud in scene.clouds:
-        rows = {"center": cloud.points, "radius": np.asarray(cloud.radius)}
-        gap, others = obstacles_of("points", rows, np.float64, np)
-        owners = np.full(len(rows["center"]), scene.owner(cloud.name))
+        owner = scene.owner(cloud.name)
+        apart = partial(_from_links, volumes, meet[owner])
+        center = np.asarray(cloud.center)[cloud.beside(apart, 0.0 if ignored else np.inf)]
+        gap, others = obstacles_of("points", {"center": center, "radius": np.asarray(cloud.radius)}, np.float64, np)
+        owners = np.full(len(center), owner)
         if len(owners):
             yield from (_Pairs(gap, skeleton, others, owners, meet) for skeleton in volumes.values())
+
+
+def _from_links(volumes: dict[int, Skeleton], counts: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """The signed distances (b, v) of places (b, 3) from the volumes of the links that count."""
+    gap, others = obstacles_of("points", {"center": places, "radius": np.zeros(())}, np.float64, np)
+    columns = []
+    for each in volumes.values():
+        some = np.flatnonzero(counts[each.link])
+        other, volume = np.indices((len(places), len(some)))
+        apart = _told(_apart, gap, (each.corners, each.radius), others, other.ravel(), some[volume.ravel()])[0]
+        columns.append(apart.reshape(other.shape))
+    return np.concatenate(columns, axis=1)
 
 
 def _sampled(volumes: dict[int, Skeleton]) -> Skeleton:

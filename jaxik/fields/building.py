@@ -16,6 +16,7 @@ from jaxik.collision.obstacle_kinds import LIMIT
 from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.fields.distance_field import HALF_DIAGONAL, MOST, DistanceField
+from jaxik.fields.voxel_distances import signed_distances
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.shapes import Volume
 from jaxik.spatial.rotations import frame
@@ -39,7 +40,7 @@ def scene_field(
     """
     check_kind("scene_field", "scene", scene, Scene)
     check_known("scene_field", scene=scene)
-    if scene.fields.count or not any(scene.counts.values()):
+    if scene.fields.count or not (any(scene.counts.values()) or any(cloud.count for cloud in scene.clouds)):
         raise ValueError(f"scene_field: scene '{scene.name}' has {'a field' if scene.fields.count else 'nothing in it'}")
     nodes, grid = _nodes("scene_field", low, high, spacing, world_T_grid)
     around = grouped(scene, POINT)
@@ -79,7 +80,7 @@ def cloud_field(
     if not len(given):
         raise ValueError("cloud_field: no point; give at least one that is finite")
     thick, off = (float(numbers(f"cloud_field: {n}", x, ())) for n, x in (("radius", radius), ("noise", noise)))
-    check_finite("cloud_field", radius=thick, noise=off)
+    check_finite("cloud_field", 0.0, radius=thick, noise=off)
     nodes, grid = _nodes("cloud_field", low, high, spacing, world_T_grid)
     tree = KDTree(given)
     return _field("cloud_field", lambda p: tree.query(p, workers=-1)[0] - thick, nodes, grid, spacing, truncation, off)
@@ -91,25 +92,22 @@ def voxel_field(
     """The distance field of cubes: those `solid` (x, y, z) voxels, of an edge `spacing` [m], whose middles are the nodes of a
     grid in the frame `world_T_grid`. Host.
 
-    A node's distance to the middle of the nearest solid voxel is that of Euclid (Maurer, Qi, Raghavan 2003); the surface is
-    between half an edge and half a diagonal nearer. The middle of both is taken, and half their difference, 0.18 edges, is
+    A node's distance to the middle of the nearest solid voxel is exact; the surface is between half an edge and half a diagonal
+    nearer. The middle of both is taken, and half their difference, 0.18 edges, is
     `node_error`. A layer of nodes is added around the grid, so that all cubes are inside. Raises `ValueError` for a grid
     without a solid voxel.
     """
-    from scipy.ndimage import distance_transform_edt
-
     solid = np.asarray(solid)
     if solid.dtype != bool or solid.ndim != 3 or not solid.any():
         raise ValueError(
             f"voxel_field: solid is {solid.dtype} of shape {solid.shape}; allowed: truth values (x, y, z), some true"
         )
-    edge, padded = float(numbers("voxel_field: spacing", spacing, ())), np.pad(solid, 1)
-    outside = distance_transform_edt(~padded, sampling=edge) - CUBE * edge
-    inside = distance_transform_edt(padded, sampling=edge) - CUBE * edge
-    most = float(numbers("voxel_field: truncation", truncation, ()))
-    values = np.clip(np.where(padded, -inside, outside), -most, most)
+    edge, most = (float(numbers(f"voxel_field: {n}", x, ())) for n, x in (("spacing", spacing), ("truncation", truncation)))
+    apart = signed_distances(np.pad(solid, 1))
+    apart -= np.copysign(np.float32(CUBE), apart)
+    values = np.clip(np.float32(edge) * apart, -most, most)
     at = rigid_frame("voxel_field: world_T_grid", world_T_grid) @ frame(np.full(3, -edge))
-    return DistanceField(values.astype(np.float32), at, edge, CUBE_ERROR * edge, most)
+    return DistanceField(values, at, edge, CUBE_ERROR * edge, most)
 
 
 # A point as a robot of three slides: what knows how far a robot is from a scene knows it of a point, too.

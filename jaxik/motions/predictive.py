@@ -142,7 +142,7 @@ def objective(
     rest = () if how.level == "velocity" else (jnp.zeros_like(q) if u is None else u,)
 
     def value(z: Any) -> Any:
-        run = ocp.roll_out(control, (begin(z[0]) if free else q, *rest), inputs(z), ahead)
+        run = ocp.roll_out(control, (begin(z[0]) if free else q, *rest), inputs(z), ahead, sloped=True)
         return run.total, run
 
     def slope(z: Any, run: ocp.Run) -> Any:
@@ -158,7 +158,7 @@ def objective(
         return ocp.totals_along(control, starts, inputs(z), inputs(s), alphas, ahead)
 
     # traced once, however often it is asked for
-    return descent.Objective(jax.jit(value), slope, lambda a, b: how.dt * jnp.sum(a * b), along if many else None)
+    return descent.Objective(jax.jit(value), slope, lambda a, b: how.dt * jnp.sum(a * b), along)
 
 
 def self_motion(robot: Robot, q: Any, along: Any, ahead: Future, how: PredictOptions, turns: int = 12) -> Any:

@@ -42,17 +42,19 @@ class Problem(NamedTuple):
 
 class Run(NamedTuple):
     """A roll-out: states (N+1, ..) each, outputs and what was seen (N, ..), and the cost of each sample (N,), whose sum times
-    dt is L."""
+    dt is L; and the cost's derivatives by state, output and input, (N, ..) each, where they were asked for."""
 
     y: Any
     v: Any
     seen: Any
     costs: Float[jax.Array, "*b k"]
     total: Float[jax.Array, "*b"]
+    slopes: Any = None
 
 
-def roll_out(problem: Problem, y: Any, w: Any, p: Any) -> Run:
-    """Rolls the states out from y along the inputs w (N, m)."""
+def roll_out(problem: Problem, y: Any, w: Any, p: Any, sloped: bool = False) -> Run:
+    """Rolls the states out from y along the inputs w (N, m); `sloped`, with the cost's derivatives, where it is asked of all
+    samples at once: a search for what is near finds both."""
 
     def advance(y: Any, now: Any) -> Any:
         after, v, seen = problem.step(y, *now)
@@ -60,14 +62,18 @@ def roll_out(problem: Problem, y: Any, w: Any, p: Any) -> Run:
 
     _, (later, v, seen, costs) = kernel(lambda y, w, p: lax.scan(advance, y, (w, p)))(y, w, p)
     states = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a[None], b]), y, later)
+    slopes = None
     if not problem.many:
-        costs = jax.vmap(problem.cost)(head(states), v, w, p)
-    return Run(states, v, seen, costs, problem.dt * jnp.sum(costs))
+        ask = jax.value_and_grad(problem.cost, (0, 1, 2)) if sloped else lambda *x: (problem.cost(*x), None)
+        costs, slopes = jax.vmap(ask)(head(states), v, w, p)
+    return Run(states, v, seen, costs, problem.dt * jnp.sum(costs), slopes)
 
 
 def totals_along(problem: Problem, y: Any, w: Any, s: Any, alphas: Any, p: Any) -> Any:
-    """The L (k,) of the inputs `w + alpha s`, each from its state of y (k, ..): side by side in one kernel, whose turns would
-    else wait for one chain of operations."""
+    """The L (k,) of the inputs `w + alpha s`, each from its state of y (k, ..): of `many` scenarios side by side in one kernel,
+    whose turns would else wait for one chain of operations."""
+    if not problem.many:
+        return jax.vmap(lambda y, alpha: roll_out(problem, y, w + alpha * s, p).total)(y, alphas)
     cost = kernel(problem.cost)  # a batch of it is written out, whatever it is
 
     def advance(y: Any, now: Any) -> Any:
@@ -86,7 +92,7 @@ def totals_along(problem: Problem, y: Any, w: Any, s: Any, alphas: Any, p: Any) 
 def gradient(problem: Problem, run: Run, w: Any, p: Any) -> tuple[Any, Any]:
     """g (N, m) at the inputs that made `run`, and the adjoint variables (N+1, ..) of each part of the state."""
     dt, y = problem.dt, head(run.y)
-    slope = jax.grad(problem.cost, argnums=(0, 1, 2))
+    slope = jax.grad(problem.cost, (0, 1, 2))
 
     def back(after: Any, now: Any) -> Any:
         y, w, p, of_cost = now
@@ -98,7 +104,8 @@ def gradient(problem: Problem, run: Run, w: Any, p: Any) -> tuple[Any, Any]:
 
     end = jax.tree_util.tree_map(lambda a: jnp.zeros_like(a[0]), y)
     sweep = kernel(lambda end, each: lax.scan(back, end, each, reverse=True))
-    _, (adjoint, g) = sweep(end, (y, w, p, run.v if problem.many else jax.vmap(slope)(y, run.v, w, p)))
+    slopes = jax.vmap(slope)(y, run.v, w, p) if run.slopes is None and not problem.many else run.slopes
+    _, (adjoint, g) = sweep(end, (y, w, p, run.v if problem.many else slopes))
     return g, jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b[None]]), adjoint, end)
 
 

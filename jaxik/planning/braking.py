@@ -18,7 +18,7 @@ the delay behind the motion that goes on is half of the time that the braking la
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from jaxik.planning.trajectory import Trajectory
 
 QUICKER = np.geomspace(1.0, 8.0, 19)  # times as quick as is always possible, that are tried
 TABLE = 1025  # points of the usual braking, between which it is interpolated
+LEVEL = np.linspace(0.0, 1.0, 9)  # shares of the time of the steady fall, at which it is looked at as well
 SURE = 0.995  # share of the limits that the others may use where they are looked at
 
 
@@ -58,15 +59,16 @@ class Brake(NamedTuple):
         u = np.clip(u, 0.0, self.lasts)
         since, left = u - ramp, self.lasts - u
         jerk = np.divide(slope, ramp, out=np.zeros_like(slope + ramp), where=ramp > 0.0)
-        phase = [u < ramp, left > ramp, left > 0.0]  # the first that holds
-        nothing = np.zeros_like(u)
+        steepens, falls, brakes = u < ramp, left > ramp, left > 0.0  # the first that holds
+
+        def phased(one: Any, two: Any, three: Any, rest: Any) -> np.ndarray:
+            return np.where(steepens, one, np.where(falls, two, np.where(brakes, three, rest)))
+
         begun, fallen = ramp - slope * ramp**2 / 6.0, 1.0 - 0.5 * slope * ramp  # where the ramp ends
-        tau = [u - jerk * u**3 / 6.0, begun + (fallen - 0.5 * slope * since) * since, 0.5 * self.lasts - jerk * left**3 / 6.0]
-        first = [1.0 - 0.5 * jerk * u**2, fallen - slope * since, 0.5 * jerk * left**2]
-        second = [-jerk * u, nothing - slope, -jerk * left]
-        third = [nothing - jerk, nothing, nothing + jerk]
-        tau = np.select(phase, tau, 0.5 * self.lasts)
-        return start + tau, *(np.select(phase, each, 0.0) for each in (first, second, third))
+        half = 0.5 * self.lasts
+        tau = phased(u - jerk * u**3 / 6.0, begun + (fallen - 0.5 * slope * since) * since, half - jerk * left**3 / 6.0, half)
+        first = phased(1.0 - 0.5 * jerk * u**2, fallen - slope * since, 0.5 * jerk * left**2, 0.0)
+        return start + tau, first, phased(-jerk * u, -slope, -jerk * left, 0.0), phased(-jerk, 0.0, jerk, 0.0)
 
     def quicker(self, times: np.ndarray) -> Brake:
         """The same in a shorter time, as many `times` as quick."""
@@ -104,23 +106,24 @@ def braking(trajectory: Trajectory, start: np.ndarray | float, limits: AnyLimits
     """The braking of a trajectory from a moment `start` () or (k,) [s], the quickest of some that keep the limits. Host.
 
     The trajectory leaves the `reserve`, a share of the limits of acceleration and jerk (n,): it was timed within the others.
-    Before and after each of its moments, and between them, velocity, acceleration and jerk are looked at, where what lies
-    between has `SURE`; the usual braking, which none is slower than, needs no look. Raises `ValueError` for a reserve that is
-    not between 0 and 1.
+    Before and after each of its moments, and between them, and in the braking's own phases, which may be shorter than these,
+    velocity, acceleration and jerk are looked at, where what lies between has `SURE`; the usual braking, which none is slower
+    than, needs no look. Raises `ValueError` for a reserve that is not between 0 and 1.
     """
     start = np.asarray(start, float)
     usual = usual_brake(limits, reserve, limits.velocity)
     u = np.linspace(0.0, float(usual.lasts), TABLE)
     begun, time = start.reshape(-1, 1, 1), np.asarray(trajectory.time, float)
-    ends = begun + (usual.end / QUICKER)[:, None]  # (k, tries, 1)
+    phases = np.concatenate([[0.0], usual.ramp + LEVEL * usual.level, [usual.lasts]])
+    own = begun + usual.rates(phases)[0] / QUICKER[:, None]  # (k, tries, p)
     looks = np.concatenate([np.nextafter(time, -np.inf), time, 0.5 * (time[1:] + time[:-1])])
-    looks = looks[(looks >= begun.min(initial=np.inf)) & (looks <= ends.max(initial=-np.inf))]
-    tau = np.concatenate([np.broadcast_to(looks, (*ends.shape[:2], len(looks))), begun + 0.0 * ends, ends], axis=-1)
+    looks = looks[(looks >= begun.min(initial=np.inf)) & (looks <= own.max(initial=-np.inf))]
+    tau = np.concatenate([np.broadcast_to(looks, (*own.shape[:2], len(looks))), own], axis=-1)
     # all are the usual law at another pace, so one table tells when each of them comes where
     ahead = (tau - begun) * QUICKER[:, None]
-    own = np.minimum(np.interp(ahead, usual.rates(u)[0], u), usual.lasts * (1.0 - 1e-9))  # at rest it no longer brakes
-    first, second, third = (x * QUICKER[:, None] ** k for k, x in enumerate(usual.rates(own)[1:]))
-    velocity, acceleration = _moving(trajectory, looks, begun, ends)
+    since = np.minimum(np.interp(ahead, usual.rates(u)[0], u), usual.lasts * (1.0 - 1e-9))  # at rest it no longer brakes
+    first, second, third = (x * QUICKER[:, None] ** k for k, x in enumerate(usual.rates(since)[1:]))
+    velocity, acceleration = _moving(trajectory, looks, own)
     used = np.abs(acceleration * (first**2)[..., None] + velocity * second[..., None]) / limits.acceleration
     if isinstance(limits, JerkLimits):
         bend = np.abs(3.0 * acceleration * (first * second)[..., None] + velocity * third[..., None]) / limits.jerk
@@ -131,14 +134,13 @@ def braking(trajectory: Trajectory, start: np.ndarray | float, limits: AnyLimits
     return Brake(start, *usual[1:]).quicker(best)
 
 
-def _moving(trajectory: Trajectory, looks: np.ndarray, begun: np.ndarray, ends: np.ndarray) -> list[np.ndarray]:
-    """Velocity and acceleration (k, tries, m + 2, n) at looks (m,), at the beginning and at the end of each braking."""
-    found = trajectory.at_times(np.concatenate([looks, begun.ravel(), ends.ravel()]))
-    parts, shape = (len(looks), len(looks) + begun.size), ends.shape[:2]
+def _moving(trajectory: Trajectory, looks: np.ndarray, own: np.ndarray) -> list[np.ndarray]:
+    """Velocity and acceleration (k, tries, m + p, n) at looks (m,), which all share, and at the `own` moments (k, tries, p) of
+    each braking."""
+    found = trajectory.at_times(np.concatenate([looks, own.ravel()]))
 
     def placed(x: np.ndarray) -> np.ndarray:
-        shared, first, last = np.split(x, parts)
-        first = np.broadcast_to(first[:, None, None], (*shape, 1, x.shape[-1]))
-        return np.concatenate([np.broadcast_to(shared, (*shape, *shared.shape)), first, last.reshape(*shape, 1, -1)], axis=2)
+        shared = np.broadcast_to(x[: len(looks)], (*own.shape[:2], len(looks), x.shape[-1]))
+        return np.concatenate([shared, x[len(looks) :].reshape(*own.shape, -1)], axis=2)
 
     return [placed(found.velocity), placed(found.acceleration)]

@@ -156,6 +156,11 @@ class Trajectory(Result):
         t = numbers("at_times: t", t)
         return Motion(*_state(np, self.in_numpy(), t), t, joint_names=self.joint_names)
 
+    def places_at(self, t: Any) -> np.ndarray:
+        """The way along the path (i,) at times (i,) [s] of one motion, in float64. Host."""
+        _check_one("Trajectory.places_at", self.time)
+        return np.asarray(place_at(np, self.in_numpy(), numbers("places_at: t", t))[1])
+
     def in_numpy(self) -> Trajectory:
         """The same in float64 in NumPy. Host."""
         return jax.tree_util.tree_map(lambda x: np.asarray(x, np.float64), self)
@@ -215,9 +220,7 @@ def _state(xp: Any, moved: Any, t: Any) -> tuple[Any, Any, Any]:
     i, way, now, rate = place_at(xp, moved, t)
     time = xp.asarray(moved.time)
     if moved.acceleration is None:
-        piece = i // (
-            (len(time) - 1) // len(moved.path.lengths)
-        )  # by number: at a corner the way itself, rounded, is in either
+        piece = i // ((len(time) - 1) // len(moved.path.lengths))  # by number: at a corner the way, rounded, is in either
         q, slope, bend = _within(xp, moved.path, piece, way)
     else:
         q, slope, bend = path_at(xp, moved.path, way)  # either piece: at a corner it is at rest

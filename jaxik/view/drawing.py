@@ -12,7 +12,7 @@ from jaxik.collision.scene import Scene
 from jaxik.fitting.links import Shape
 from jaxik.kinematics.robot import Robot, known_parts
 from jaxik.spatial.rotations import to_wxyz
-from jaxik.view.palette import BAD, CHOSEN, FRUIT, INK, LEAF, LEFT_OUT, NEAR_LIMIT, OBSTACLE, ROBOT, VOLUME, rgb
+from jaxik.view.palette import BAD, CHOSEN, CLOUD, FRUIT, INK, LEAF, LEFT_OUT, NEAR_LIMIT, OBSTACLE, ROBOT, UNSEEN, VOLUME, rgb
 from jaxik.view.panels import left_out
 from jaxik.view.solids import Solid, bones, box_solids, scene_points, scene_solids, volume_solids
 
@@ -173,11 +173,12 @@ def _own(robot: Robot, meshes: Sequence[Shape]) -> list[tuple[int, Any]]:
     return own + [(link, mesh_of([solid])) for link, solid in rest]
 
 
+NOT_SEEN, FEWER = "unseen", 3  # the object that `Occupancy.in_scene` makes; one in so many of its points is drawn
 NO_SCENE = "No obstacles: open this page with `--scene cucumber_row`, or a scene file of your own."
 
 
 class SceneDrawing:
-    """A scene, and a switch that hides it; `empty` if there is none."""
+    """A scene, a switch that hides it, and one of what no camera has seen; `empty` if there is none."""
 
     def __init__(self, server: Any, around: Scene, empty: bool):
         gui, self.scene, self.hit = server.gui, server.scene, frozenset[str]()
@@ -186,14 +187,25 @@ class SceneDrawing:
         shown.on_update(lambda _: setattr(root, "visible", shown.value))
         if empty:
             gui.add_markdown(NO_SCENE)
-        self.fruits = {fruit.name for fruit in around.marks}
+        self.unseen = gui.add_checkbox("what no camera has seen", True, visible=NOT_SEEN in around.object_names)
+        self.unseen.on_update(lambda _: self._draw())
+        self.show(around)
+
+    def show(self, around: Scene) -> None:
+        """Draws another scene in place of this one."""
+        self.fruits, self.leaves = {fruit.name for fruit in around.marks}, len(around.points.center)
         self.points, self.solids = scene_points(around), scene_solids(around)
         self.radius = max(float(around.points.radius), 0.004)
         self._draw()
 
     def _draw(self, apart: Iterable[str] = ()) -> None:
-        """Leaves as points, the rest as solids: fruits in their colour, obstacles in one; but for what is drawn apart."""
-        draw_points(self.scene, "/scene/points", self.points[0], rgb(LEAF), self.radius)
+        """Leaves, clouds and surfaces of fields as points, the rest as solids: fruits in their colour, obstacles in one; but
+        for what is drawn apart."""
+        places, owners = self.points
+        leaf, unseen = np.arange(len(places)) < self.leaves, owners == NOT_SEEN
+        seen = unseen & (np.arange(len(places)) % FEWER == 0) & self.unseen.value
+        for name, rows, colour in (("points", leaf, LEAF), ("cloud", ~leaf & ~unseen, CLOUD), ("unseen", seen, UNSEEN)):
+            draw_points(self.scene, f"/scene/{name}", places[rows], rgb(colour), self.radius)
         apart = set(apart)
         for name, colour in (("fruits", FRUIT), ("obstacles", OBSTACLE)):
             mine = [s for s in self.solids if (s.owner in self.fruits) == (name == "fruits") and s.owner not in apart]

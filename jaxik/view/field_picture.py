@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxik.checks.options import check_kind, shown
 from jaxik.fields.distance_field import DistanceField
-from jaxik.view.palette import INK
+from jaxik.view.palette import DISTANCES, INK
 
 AXES = "xyz"
 
@@ -38,7 +38,7 @@ def plot_field(field: DistanceField, path: str | Path, *, axis: str = "z", at: S
         number = round(place / edge)
         slice_ = values[number].T
         ends = [(-edge / 2.0, field.corners[1][i] + edge / 2.0) for i in across]
-        looks = {"origin": "lower", "extent": (*ends[0], *ends[1]), "cmap": "RdBu", "vmin": -most, "vmax": most}
+        looks = {"origin": "lower", "extent": (*ends[0], *ends[1]), "cmap": DISTANCES, "vmin": -most, "vmax": most}
         image = panel.imshow(slice_, **looks)
         if slice_.min() < 0.0 < slice_.max():
             nodes = [edge * np.arange(n) for n in slice_.shape[::-1]]

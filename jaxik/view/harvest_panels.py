@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from typing import Any
 
 import numpy as np
@@ -14,6 +12,7 @@ from jaxik.harvesting.harvest_plan import HarvestPlan
 from jaxik.spatial.rotations import to_wxyz
 from jaxik.view.palette import PATH, boxed, marked, rgb
 from jaxik.view.pictures import fate, posture
+from jaxik.view.playback import Playback
 from jaxik.view.solids import frames
 from jaxik.view.stage import Stage
 
@@ -41,15 +40,13 @@ class FruitList:
 
 
 PERIOD = 0.02  # [s] between the postures that are known
-FRAME = 0.05  # [s] between pictures
-SPEEDS = {"as fast as it is": 1.0, "four times slower": 0.25, "four times faster": 4.0}
 
 
-class Player:
+class Player(Playback):
     """The controls of a plan in a tab of the page, and what they show."""
 
     def __init__(self, page: Stage, plan: HarvestPlan):
-        self.page, self.plan, self.samples = page, plan, plan.sample(PERIOD)
+        self.plan, self.samples = plan, plan.sample(PERIOD)
         self.numbers = self.samples.stage.reshape(len(self.samples.q), -1)  # a column an arm
         self.column = {arm.name: k for k, arm in enumerate(plan.arms)}
         own = [(arm.robot, self.samples.q[:, list(arm.joints)]) for arm in plan.arms]
@@ -62,13 +59,7 @@ class Player:
         gui, picked = page.server.gui, len(plan.order)
         each = f", {plan.cycle:.2f} s each" if picked else ""
         gui.add_markdown(f"**{plan.robot.name} picks {picked} of {len(plan)} fruits in {plan.duration:.1f} s{each}.**")
-        self.time = gui.add_slider("time [s]", 0.0, max(round(plan.duration, 2), PERIOD), PERIOD, 0.0)
-        self.button, self.speed = gui.add_button("Play"), gui.add_dropdown("speed", list(SPEEDS))
-        self.said = gui.add_html(boxed("Play, or drag the time."))
-        self.playing = threading.Event()
-        self.thread: threading.Thread | None = None
-        self.time.on_update(self._dragged)
-        self.button.on_click(lambda _: self.pause() if self.playing.is_set() else self.play())
+        super().__init__(page, plan.duration, PERIOD)
         if picked:
             pairs = np.concatenate([np.stack([tips[:-1, :3, 3], tips[1:, :3, 3]], axis=1) for tips in self.tips])
             page.server.scene.add_line_segments("/scene/path", pairs, rgb(PATH), thickness=2, thickness_units="screen")
@@ -76,38 +67,6 @@ class Player:
     def _last(self, stage: int) -> int:
         """The number of a stage's last sample."""
         return int(np.flatnonzero(self.numbers[:, self.column[self.plan.stages[stage].arm]] == stage)[-1])
-
-    def _dragged(self, event: Any) -> None:
-        if event.client is not None:  # a person, not `_run`
-            self.page.asked(lambda: self.show(self.time.value))
-
-    def play(self) -> None:
-        """Plays from where the slider is, or from the beginning if that is the end."""
-        self.playing.set()
-        self.button.label = "Pause"
-        self.thread = threading.Thread(target=self._run, daemon=True)
-        self.thread.start()
-
-    def pause(self) -> None:
-        """Where it is; it is still when this returns."""
-        self.playing.clear()
-        self.button.label = "Play"
-        if self.thread is not None and self.thread is not threading.current_thread():
-            self.thread.join()
-
-    def _run(self) -> None:
-        end, last = self.plan.duration, time.monotonic()
-        at = float(self.time.value) if self.time.value < end - PERIOD else 0.0
-        while self.playing.is_set() and at < end:
-            self.time.value = min(round(at, 2), self.time.max)
-            self.page.asked(lambda now=at: self.show(now))
-            time.sleep(FRAME)
-            now = time.monotonic()
-            at, last = at + SPEEDS[self.speed.value] * (now - last), now
-        if self.playing.is_set():
-            self.time.value = self.time.max
-            self.page.asked(lambda: self.show(end))
-            self.pause()
 
     def show(self, t: float) -> None:
         """The robot and the fruits at t [s]."""

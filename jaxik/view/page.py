@@ -15,8 +15,10 @@ from jaxik.fitting.links import Shape
 from jaxik.harvesting.driver import HarvestResult
 from jaxik.harvesting.harvest_plan import HarvestPlan
 from jaxik.kinematics.robot import Robot
+from jaxik.replanning import Log
 from jaxik.view.cloud import Cloud, store_of
 from jaxik.view.harvest_panels import FruitList, Player
+from jaxik.view.log_player import LogPlayer
 from jaxik.view.stage import Stage
 from jaxik.view.steering import Steering, ready_posture
 
@@ -30,6 +32,7 @@ HELP = (
     "**Map:** each point is a place that a sweep has tried. Click one that is reachable to see the posture there.",
     "**Steer** (`--teleop`): drag the tip, or push a game pad's sticks in that tab: the arm follows; record, play, save.",
     "**Fruits:** choose one to see how it is picked, or what is in its way.",
+    "**Log** (`jaxik view LOG`): what a replanner was told and did; play it, or drag the time.",
     "**Motions:** play them, or drag the time.",
 )
 NO_MAP = "No map yet. Make one with `jaxik sweep STUDY.toml`, then open this page with `--store STUDY.zarr`."
@@ -52,11 +55,13 @@ class Page(Stage):
         plan: HarvestPlan | None = None,
         meshes: Sequence[Shape] = (),
         teleop: bool = False,
+        log: Log | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
     ):
         """Serves the page on `host`, `port`; `meshes` are the links' own shapes (`files.link_meshes`). With `teleop` the tip is
-        steered by its target; without, each of several tips has a target.
+        steered by its target; without, each of several tips has a target. With a `log` of a replanner (`load_log`) that is
+        played, in place of the scene.
 
         Raises `ValueError` without viser, for a store of another robot, and for several tips with `teleop`.
         """
@@ -67,6 +72,7 @@ class Page(Stage):
         q = ready_posture(robot, scene) if teleop else default_pose(robot)
         server = viser.ViserServer(host=host, port=port, label="jaxik", verbose=False)
         super().__init__(server, robot, q, scene, meshes, teleop)
+        self.log = None if log is None else self._tab("Log", LogPlayer, log)
         self.map = self._tab("Map", Cloud, group, NO_MAP)
         self.fruits = self._tab("Fruits", FruitList, harvest, NO_FRUITS)
         self.player = self._tab("Motions", Player, plan, NO_MOTIONS)
@@ -87,8 +93,9 @@ class Page(Stage):
     def close(self) -> None:
         if self.steering is not None:
             self.steering.close()
-        if self.player is not None:
-            self.player.pause()
+        for player in (self.player, self.log):
+            if player is not None:
+                player.pause()
         self.server.stop()
 
     def _tab(self, name: str, panel: Any, shown: Any, words: str = "") -> Any:

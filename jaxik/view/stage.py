@@ -22,7 +22,8 @@ from jaxik.kinematics.task import POSE, POSITION, Task
 from jaxik.reasons import Reason
 from jaxik.spatial.rotations import to_wxyz
 from jaxik.view import palette
-from jaxik.view.drawing import RobotDrawing, SceneDrawing
+from jaxik.view.drawing import NOT_SEEN, RobotDrawing, SceneDrawing
+from jaxik.view.field_slices import FieldSlices, field_names
 from jaxik.view.palette import WORDS, boxed, marked, rgb, swatches
 from jaxik.view.panels import Sliders, UncheckedList
 from jaxik.view.solids import frames, scene_points
@@ -79,6 +80,7 @@ class Stage:
             self.drawing = RobotDrawing(server, robot, meshes, self._restyled)
             self.unchecked = UncheckedList(server, self.drawing)
             self.surroundings = SceneDrawing(server, self.around, scene is None)
+            self.slices = FieldSlices(server, self.around)
             self._target()
             self.sliders = Sliders(server.gui, robot, q, self._slid)
         self._restyled(follow=True)
@@ -98,6 +100,12 @@ class Stage:
         self.robot = self.home if world_T_base is None else self.home.mounted(world_T_base)
         self._q = np.array(q, float)
         self._draw()
+
+    def surround(self, scene: Scene | None) -> None:
+        """Puts another scene around the robot."""
+        self.scene, self.around = scene, scene if scene is not None else make_scene()
+        with self.server.atomic():
+            self.surroundings.show(self.around)
 
     def place(self, q: np.ndarray, dragged: bool = False) -> None:
         """Shows the robot at `q` (n,) [rad, m], now: what is near is not looked at, and a target that is `dragged` stays."""
@@ -190,7 +198,9 @@ class Stage:
             ("volumes kept clear", palette.VOLUME, self.drawing.volumes.value),
             ("touch, and not checked", palette.LEFT_OUT, self.drawing.left_out),
             ("near a joint's limit", palette.NEAR_LIMIT, self.teleop),
-            ("leaves (points)", palette.LEAF, len(self.around.points.center) + len(self.around.clouds)),
+            ("leaves (points)", palette.LEAF, len(self.around.points.center)),
+            ("points of clouds, surfaces of fields", palette.CLOUD, self._measured()),
+            ("not seen", palette.UNSEEN, NOT_SEEN in self.around.object_names),
             ("fruits", palette.FRUIT, self.around.marks),
         )
         self.legend.content = boxed(swatches({words: colour for words, colour, some in there if some}))
@@ -218,6 +228,10 @@ class Stage:
         for tip, (gizmo, at) in enumerate(zip(self.gizmos, placed[-len(self.gizmos) :], strict=True)):
             if follow or (dragged is not None and tip != dragged):
                 gizmo.wxyz, gizmo.position = to_wxyz(at[:3, :3]), at[:3, 3]
+
+    def _measured(self) -> bool:
+        """Whether there are clouds or fields, but for what no camera has seen."""
+        return len(self.around.clouds) > 0 or any(name != NOT_SEEN for name in field_names(self.around))
 
     def _contacts(self) -> tuple[Contact, ...]:
         """The contacts nearest to the robot, or all that it hits; the panel's first line says so."""

@@ -1,5 +1,6 @@
 """Clouds of points as solids: distances are those of a search through all of them, and everything takes such scenes."""
 
+import contextlib
 import functools
 import logging
 import pickle
@@ -36,19 +37,22 @@ def walls(count, rng):
     return np.where((rng.random(count) < 0.5)[:, None], table, wall)
 
 
+def to_volumes(robot, q, points):
+    """The least distance of each volume to points' balls (v,), and its link (v,), by NumPy over all of them."""
+    least, links = [], []
+    for skeleton in skeletons(robot, q.tolist(), np.float64).values():
+        a, b = (np.stack(np.broadcast_arrays(*map(np.asarray, c)), axis=-1)[:, None] for c in skeleton.corners)
+        along = np.clip(np.sum((points - a) * (b - a), -1) / np.sum((b - a) ** 2, -1), 0.0, 1.0)
+        apart = np.linalg.norm(points - a - along[..., None] * (b - a), axis=-1)
+        least.append((apart - np.asarray(skeleton.radius)[:, None]).min(axis=1, initial=np.inf) - RADIUS)
+        links.append(skeleton.link)
+    return np.concatenate(least), np.concatenate(links)
+
+
 def by_brute_force(robot, q, points):
     """The least distance to points' balls, by NumPy over all of them, and to the robot itself."""
     own = jax.vmap(lambda q: clearance(robot, None, q))(q)
-    found = []
-    for one in q:
-        least = np.inf
-        for skeleton in skeletons(robot, one.tolist(), np.float64).values():
-            a, b = (np.stack(np.broadcast_arrays(*map(np.asarray, c)), axis=-1)[:, None] for c in skeleton.corners)
-            along = np.clip(np.sum((points - a) * (b - a), -1) / np.sum((b - a) ** 2, -1), 0.0, 1.0)
-            apart = np.linalg.norm(points - a - along[..., None] * (b - a), axis=-1)
-            least = min(least, (apart - np.asarray(skeleton.radius)[:, None]).min(initial=np.inf) - RADIUS)
-        found.append(least)
-    return np.minimum(own, found)
+    return np.minimum(own, [to_volumes(robot, one, points)[0].min() for one in q])
 
 
 CASES = {
@@ -68,7 +72,8 @@ CASES = {
 def test_it_is_the_distance_to_all_points(name, only_kernels):
     points = CASES[name]
     finite = points[np.isfinite(points).all(axis=1)]
-    scene = EMPTY.with_cloud(points, RADIUS, capacity=2048)
+    with pytest.warns(UserWarning, match="millimetres") if name == "all far away" else contextlib.nullcontext():
+        scene = EMPTY.with_cloud(points, RADIUS, capacity=2048)
     assert scene.clouds[0].count == len(finite)
     np.testing.assert_array_equal(np.unique(scene.clouds[0].points, axis=0), np.unique(finite, axis=0))
     far = np.abs(finite).max() > 100.0
@@ -155,6 +160,11 @@ def test_its_own_points_have_a_gradient():
     assert (ahead - behind) / 2e-6 == pytest.approx(np.linalg.norm(slope[row]), abs=1e-6)
 
 
+def test_its_radius_has_a_gradient():
+    near = lambda radius: clearance(PANDA, EMPTY.with_cloud(SPREAD, radius).moved("cloud", jaxik.pose([0.1, 0.0, 0.0])), Q[0])
+    assert jax.grad(near)(RADIUS) == -1.0
+
+
 def test_everything_that_asks_takes_it():
     points = walls(2000, RNG)
     both = jaxik.make_scene(boxes=[[0.0, 0.8, 0.5, 0.2, 0.2, 0.2]]).with_cloud(points, RADIUS)
@@ -184,6 +194,19 @@ def test_it_is_explained_by_name():
     assert of_cloud == pytest.approx(float(object_clearances(PANDA, scene, Q[0])[0]), abs=1e-12)
     point = next(c.other_point for c in told if c.other == "cloud")
     assert cKDTree(scene.clouds[0].points).query(point)[0] == pytest.approx(RADIUS, abs=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 9, 3_000, 60_000])
+def test_reports_tell_of_each_link_its_nearest_point(count):
+    rng = np.random.default_rng(count)
+    for q in Q[:4]:
+        points = rng.normal(0.0, 0.8, (count, 3)) * ([1.0, 1.0, 0.1] if count > 9 else 1.0)
+        points[: count // 10] = 3e4
+        scene = EMPTY.with_cloud(points, RADIUS)
+        told = {c.link: c.distance for c in jaxik.explain(PANDA, scene, q, count=100).contacts if c.other == "cloud"}
+        gaps, links = to_volumes(PANDA, q, points)
+        for link in np.unique(links):
+            assert told[PANDA.link_names[link]] == pytest.approx(gaps[links == link].min(), abs=1e-9)
 
 
 def test_rows_of_scenes_are_those_scenes():
@@ -251,6 +274,12 @@ def test_points_of_pcd_are_read(tmp_path, encoding):
     points[7] = np.nan
     PointCloud.from_xyz_points(points).save(tmp_path / "a.pcd", encoding=Encoding(encoding))
     np.testing.assert_array_equal(jaxik.files.load_cloud(tmp_path / "a.pcd"), points)
+
+
+def test_millimetres_are_noticed():
+    with pytest.warns(UserWarning, match="over 100 m away; are they in millimetres"):
+        EMPTY.with_cloud(1e3 * SPREAD, RADIUS)
+    EMPTY.with_cloud(CASES["some far away"], RADIUS)
 
 
 def test_what_is_no_cloud_is_refused():

@@ -41,6 +41,7 @@ FLOORS = [  # what the house is made of, from the ground up
     "ik",
     "motions",
     "planning",
+    "replanning",
     "identification",
     "estimation",
     "touch",

@@ -81,3 +81,16 @@ def test_at_a_steady_speed_it_uses_the_whole_limit():
 def test_a_reserve_that_is_none_is_refused(reserve):
     with pytest.raises(ValueError, match=r"braking: reserve is .*; allowed: above 0 and below 1"):
         usual_brake(Limits(VELOCITY, ACCELERATION), reserve, VELOCITY)
+
+
+def test_ramps_of_milliseconds_are_not_missed_between_moments():
+    robot = jaxik.load("panda")
+    most = np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])
+    limits = JerkLimits(np.asarray(robot.velocity), most, 500.0 * most)
+    share = {"acceleration": (1.0 - RESERVE) * limits.acceleration, "jerk": (1.0 - RESERVE) * limits.jerk}
+    for q in np.random.default_rng(0).uniform(robot.lower, robot.upper, (8, 2, 7)):
+        trajectory = jaxik.planning.time_path(q, velocity=limits.velocity, **share)
+        for begin in np.linspace(0.1, 0.9, 5) * float(trajectory.duration):
+            law = braking(trajectory, begin, limits, RESERVE)
+            found = law.motion(trajectory, np.linspace(0.0, float(law.lasts), 20_001))
+            assert (np.abs(found.acceleration) <= limits.acceleration * (1 + 1e-9)).all()

@@ -1,0 +1,59 @@
+"""Where a course may stop: at once, or later, but before what it would hit."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+
+from jaxik.planning.braking import braking
+from jaxik.planning.limits import AnyLimits
+from jaxik.pytree import replaced
+from jaxik.replanning.course import Course, Run
+from jaxik.replanning.proof import Hit
+
+MOMENTS = 257  # of a run, between which the last one is found that is before a place
+WAITS = 0.9, 0.6, 0.3  # shares of the time for which the braking might wait, of which the first that stops soon enough is taken
+
+
+@dataclasses.dataclass(frozen=True)
+class Stops:
+    """How runs are braked: their limits, and the share of acceleration and jerk that they leave for it."""
+
+    limits: AnyLimits
+    reserve: float
+
+    def at_once(self, course: Course, now: float) -> Course:
+        """The course, braked from a moment on [s]; what has not begun then is left out."""
+        begun = tuple(run for run in course.runs if run.begin < now)
+        if begun and begun[-1].end > now:
+            begun = (*begun[:-1], self._braked(begun[-1], now - begun[-1].begin))
+        return course if begun == course.runs else Course(course.standing, begun)
+
+    def before(self, course: Course, hit: Hit, now: float) -> Iterator[Course]:
+        """Courses that stop before a hit, late and at once; none where even the one that stops at once does not."""
+        run, halted = course.runs[hit.run], self.at_once(course, now)
+        first = halted.runs[hit.run] if len(halted.runs) > hit.run else self._braked(run, 0.0)
+        begun, free = max(now - run.begin, 0.0), self._free(run, hit)
+        for share in WAITS if first.own_end < free else ():
+            later = self._braked(run, begun + share * (free - first.own_end))
+            if later.own_end <= free:
+                yield Course(course.standing, (*course.runs[: hit.run], later))
+                break
+        if len(halted.runs) <= hit.run or first.own_end <= free:
+            yield halted
+
+    def _free(self, run: Run, hit: Hit) -> float:
+        """The last moment, by a run's own time, that is known to be before a hit [s]."""
+        own = np.linspace(0.0, run.own_end, MOMENTS)
+        before = np.flatnonzero(run.trajectory.places_at(own) <= hit.place)
+        return float(own[before[-1]]) if len(before) else 0.0
+
+    def _braked(self, run: Run, since: float) -> Run:
+        """The run, braked from such a time after its beginning on; as it is where it brakes already, or ends sooner."""
+        if run.brake is not None and since >= run.brake.start:
+            return run
+        brake = braking(run.trajectory, since, self.limits, self.reserve)
+        ends_sooner = brake.end >= run.own_end
+        return run if ends_sooner else replaced(run, brake=brake)
