@@ -30,7 +30,7 @@ BALLS, BOXES, OFF = 3, 3, 0.005
 BRAKINGS = 10  # a motion
 TICK = 1e-3  # [s] between samples
 TABLE = [0.65, 0.0, -0.06, 0.9, 1.4, 0.1]
-FAR = 0.11  # [m] from which on distances of segments to boxes are bounds from below: more than a capsule's radius and GAP
+FAR = 0.096  # [m] from which on distances of segments to boxes are bounds from below: more than a capsule's radius and GAP
 GAP = 0.02  # [m] that the start and the goal keep
 RESERVE = 0.3
 
@@ -119,7 +119,7 @@ def to_box(a: np.ndarray, b: np.ndarray, box: np.ndarray) -> np.ndarray:
     a, b = a[close], b[close]
     apart = lambda s: np.linalg.norm(np.maximum(np.abs(a + s[:, None] * (b - a) - box[:3]) - 0.5 * box[3:], 0.0), axis=1)
     low, high = np.zeros(len(a)), np.ones(len(a))
-    for _ in range(25):
+    for _ in range(16):
         first, second = (2.0 * low + high) / 3.0, (low + 2.0 * high) / 3.0
         nearer = apart(first) <= apart(second)
         low, high = np.where(nearer, low, first), np.where(nearer, second, high)
@@ -141,7 +141,8 @@ def judged(robot: jaxik.Robot, where: Cell, motion: Trajectory, off: np.ndarray,
     clock = np.append(np.arange(0.0, float(motion.duration), TICK), float(motion.duration))
     state = motion.at_times(clock)
     balls, boxes = distances(robot, where, np.asarray(state.q), clock, off)
-    shares = [np.abs(state.velocity) / limits.velocity, np.abs(state.acceleration) / limits.acceleration]
+    speed = np.diff(np.asarray(state.q)[:-1], axis=0) / TICK  # by differences: a jump would show
+    shares = [np.abs(speed) / limits.velocity, np.abs(np.diff(speed, axis=0)) / TICK / limits.acceleration]
     if jerk is not None:
         shares.append(np.abs(np.diff(state.acceleration[:-1], axis=0)) / TICK / jerk)
     return Verdict(float(balls.min()), float(boxes.min()), tuple(float(each.max()) for each in shares))
@@ -150,7 +151,7 @@ def judged(robot: jaxik.Robot, where: Cell, motion: Trajectory, off: np.ndarray,
 def stopped(
     robot: jaxik.Robot, where: Cell, motion: Trajectory, off: np.ndarray, limits: Any, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """The least distance to balls and boxes over brakings from random moments to rest, and the longest one [s]."""
+    """The least distance to balls over brakings from random moments to rest [m], and the longest of these [s]."""
     begins = rng.uniform(0.0, float(motion.duration), BRAKINGS)
     laws = braking(motion, begins, limits, RESERVE)
     rows, clocks, longest = [], [], 0.0
@@ -160,8 +161,9 @@ def stopped(
         rows.append(np.asarray(law.motion(motion, since).q))
         clocks.append(begin + since)
         longest = max(longest, float(law.lasts))
-    each = distances(robot, where, np.concatenate(rows), np.concatenate(clocks), off)
-    return float(min(x.min() for x in each)), longest
+    among = where._replace(boxes=where.boxes[:0])  # it stays on the motion's path, which is judged
+    balls, _ = distances(robot, among, np.concatenate(rows), np.concatenate(clocks), off)
+    return float(balls.min()), longest
 
 
 def study(robot: jaxik.Robot, seeds: range, jerk: float | None) -> dict[str, Any]:

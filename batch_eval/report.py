@@ -38,6 +38,7 @@ from tables.motions import (
     statistics_markdown,
     trajectory_markdown,
 )
+from tables.moving import moving_markdown
 from tables.one_target import one_target_markdown
 from tables.planners import planners_markdown
 from tables.postures import (
@@ -91,6 +92,7 @@ TABLES = {
     "loop_benchmark.json": loops_markdown,
     "mesh_benchmark.json": mesh_markdown,
     "motions.json": motions_markdown,
+    "moving_benchmark.json": moving_markdown,
     "narrow_goals.json": narrow_markdown,
     "nine_dof.json": nine_dof_markdown,
     "one_target_benchmark.json": one_target_markdown,

@@ -130,8 +130,8 @@ class Track(Constant):
     def _travels(self) -> tuple[np.ndarray, np.ndarray, float, float]:
         """The way of its origin and the angle (m,) at the times, and how fast both go on before and after."""
         ways = np.linalg.norm(np.diff(self.poses[:, :3, 3], axis=0), axis=-1), np.linalg.norm(self.turns, axis=-1)
-        since = (np.concatenate([[0.0], np.cumsum(x)]) for x in ways)
-        return *since, float(np.linalg.norm(self.velocity)), float(np.linalg.norm(self.turning))
+        way, angle = (np.concatenate([[0.0], np.cumsum(x)]) for x in ways)
+        return way, angle, float(np.linalg.norm(self.velocity)), float(np.linalg.norm(self.turning))
 
     @functools.cached_property
     def _turns(self) -> bool:
@@ -160,8 +160,8 @@ class MovingScene(Constant):
     Raises `ValueError` for what is no scene, no track, and for objects that are not there.
     """
 
-    scene: Scene
-    tracks: dict[str, Track]
+    scene: Any  # a `Scene`; what it is given is checked in one line
+    tracks: Any  # dict[str, Track]
 
     def __post_init__(self) -> None:
         check_kind("MovingScene", "scene", self.scene, Scene)
@@ -183,18 +183,16 @@ class MovingScene(Constant):
 
     def poses(self, t: Any) -> Any:
         """Where what moves is at t () [s] (o, 4, 4); at known times (...) (..., o, 4, 4) in NumPy. Traced."""
-        xp = np if is_known((self.tracks, t)) else jnp
-        return xp.stack([track.at(t) for track in self.tracks.values()], axis=-3)
+        return _stacked([track.at(t) for track in self.tracks.values()], t, 4, 4)
 
     def errors(self, t: Any) -> Any:
         """How far off each may be at t (...) [m] (..., o). Traced."""
-        xp = np if is_known((self.tracks, t)) else jnp
-        return xp.stack([track.error(t) for track in self.tracks.values()], axis=-1)
+        return _stacked([track.error(t) for track in self.tracks.values()], t)
 
     def travelled(self, t: Any) -> np.ndarray:
         """`Track.travelled` of each object's furthest point at t (...) (..., o) [m]. Host."""
         each = zip(self.tracks.values(), self.radii, strict=True)
-        return np.stack([track.travelled(t, radius) for track, radius in each], axis=-1)
+        return np.asarray(_stacked([track.travelled(t, radius) for track, radius in each], t))
 
     @property
     def settled(self) -> float:
@@ -219,6 +217,13 @@ class MovingScene(Constant):
     def __str__(self) -> str:
         """One line: the scene, and each course."""
         return f"{self.scene}; moving: {'; '.join(f'{name}, {track}' for name, track in self.tracks.items()) or 'nothing'}"
+
+
+def _stacked(each: list[Any], t: Any, *shape: int) -> Any:
+    """Arrays (..., *shape) of each object at times t (...) as one (..., o, *shape)."""
+    if not each:
+        return np.zeros((*np.shape(t), 0, *shape))
+    return (np if is_known(each) else jnp).stack(each, axis=-1 - len(shape))
 
 
 ERRORS = ("bound", "growth", "since")

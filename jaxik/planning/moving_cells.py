@@ -2,9 +2,9 @@
 
 A cell is an interval of the motion's own time tau, and one of a delay: what a motion does that is behind its time, such as one
 that brakes. So the robot is at q(tau) when the clock shows start + tau + delay. In the middle of a cell all distances are
-measured at once, and anywhere else in it an object is no nearer than that, less what the robot's points travel at most, less
-what the object's points travel at most, less how far off it may be at the end. A cell that this does not prove is halved: the
-motion is proven, or a configuration is found that touches.
+measured at once. Anywhere else in it an object is no nearer than that, less what the robot's points travel at most, less what
+the object's points travel at most, less how much more it may be off at the end. A cell that this does not prove is halved:
+the motion is proven, or a configuration is found that touches.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxik.planning.moving_delay import Delay
 from jaxik.planning.moving_distances import MovingDistances
 from jaxik.planning.trajectory import JointPath, Trajectory, place_at
 
@@ -81,22 +82,24 @@ def proof(
     margin: float,
     resolution: float,
     enough: float,
+    delay: Delay | None = None,
     first: bool = False,
 ) -> Proof:
     """Proves that all of the cells keep the margin [m], or tells until when they do: a motion that keeps `margin + resolution`
-    is proven, and one that comes to the margin never is. Clearances above `enough` are not told apart. With `first` any moment
-    that touches ends it, before which not all is proven."""
+    is proven, and one that comes to the margin never is. Clearances above `enough` are not told apart. With a `delay`
+    cells are no later than that. With `first` any moment that touches ends it, before which not all is proven."""
     bound, least, nearest, contact, who, count = np.inf, np.inf, np.nan, np.inf, -1, 0
     moving = near.moving
     while len(cells.begin):
         middle, late = 0.5 * (cells.begin + cells.end), 0.5 * (cells.least + cells.most)
         clock = course.start + middle + late
         ends = course.start + cells.begin + cells.least, course.start + cells.end + cells.most
-        measured = near.at(course.trajectory.at_times(middle).q, clock) - ROUNDED
+        measured = near.at(np.asarray(course.trajectory.at_times(middle).q), clock) - ROUNDED
         here = measured - moving.errors(clock)
         robot = _drop(course.travelled, cells.begin, middle, cells.end)
         others = _drop(moving.travelled, ends[0], clock, ends[1])
-        low = np.min(measured - moving.errors(ends[1]) - others - robot[:, None], axis=1, initial=np.inf)
+        others += moving.errors(ends[1]) - moving.errors(clock)
+        low = np.min(here - others - robot[:, None], axis=1, initial=np.inf)
         now, count = np.min(here, axis=1, initial=np.inf), count + len(middle)
         if now.min() < least:
             least, nearest = float(now.min()), float(middle[np.argmin(now)])
@@ -106,7 +109,7 @@ def proof(
         if hit.min() < contact:
             contact, who = float(hit.min()), int(np.argmin(here[np.argmin(hit)]))
         level = min(max(least - resolution, margin), enough)
-        done = low > level
+        done = (low > level) | (low == np.inf)
         bound = min(bound, float(low[done].min(initial=np.inf)))
         behind = others.max(axis=1, initial=0.0) * (cells.most - cells.least)
         ahead = robot * (ends[1] - ends[0]) + others.max(axis=1, initial=0.0) * (cells.end - cells.begin)
@@ -120,6 +123,9 @@ def proof(
         cells = cells.some(left).halved(late).halved(np.tile(late, 2))  # in quarters: calls cost more than cells
         cells = cells.some(cells.begin < contact)
         cells = cells._replace(end=np.minimum(cells.end, contact))
+        if delay is not None and len(cells.begin):
+            cells = cells._replace(most=np.minimum(cells.most, delay.within(cells.begin, cells.end)))
+            cells = cells.some(cells.least <= cells.most)
     return Proof(bound if contact == np.inf else min(bound, margin), contact, who, nearest, count)
 
 
@@ -129,10 +135,10 @@ def _drop(travelled: Callable[[np.ndarray], Any], begin: np.ndarray, middle: np.
     return np.maximum(travelled(end) - at, at - travelled(begin))
 
 
-def cells_between(first: float, last: float, delay: Callable[[np.ndarray], np.ndarray] | None = None) -> Cells:
-    """Cells for a motion from one of its own times to another [s], as late as a `delay` allows, which does not fall."""
+def cells_between(first: float, last: float, delay: Delay | None = None) -> Cells:
+    """Cells for a motion from one of its own times to another [s], as late as a `delay` allows."""
     edges = np.linspace(first, last, FIRST + 1)
-    late = np.zeros(FIRST) if delay is None else delay(edges[1:] - first)
+    late = np.zeros(FIRST) if delay is None else delay.within(edges[:-1], edges[1:])
     return Cells(edges[:-1], edges[1:], np.zeros(FIRST), late)
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.planning.trajectory import JointPath, Trajectory
+from jaxik.planning.trajectory import JointPath, Trajectory, padded
 
 
 class Leg(NamedTuple):
@@ -19,14 +19,16 @@ class Leg(NamedTuple):
 
 
 def part_of(path: JointPath, first: float, last: float) -> JointPath:
-    """The part of a path from one place to another, backwards where the first is the greater one, of as many pieces: those
-    outside have no length."""
+    """The part of a path from one place to another, backwards where the first is the greater one, of as many pieces: those that
+    are too many have no length, and stay where it ends."""
     if first > last:
         return reversed_path(part_of(path, last, first))
     lengths, curve = np.asarray(path.lengths, float), np.asarray(path.coefficients, float)
     ends = np.cumsum(lengths)
     begin, end = (np.clip(place - (ends - lengths), 0.0, lengths) for place in (first, last))
-    return JointPath(end - begin, shifted(curve, begin))
+    some = end > begin
+    some[0] |= not some.any()
+    return padded(JointPath((end - begin)[some], shifted(curve, begin)[some]), len(lengths))
 
 
 def reversed_path(path: JointPath) -> JointPath:

@@ -21,6 +21,7 @@ from jaxik.planning.braking import usual_brake
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.limits import AnyLimits
 from jaxik.planning.moving_cells import Course, Proof, cells_between, proof
+from jaxik.planning.moving_delay import Delay, delay_of
 from jaxik.planning.moving_distances import MovingDistances
 from jaxik.planning.moving_parts import backwards, part_of, put_together, slower
 from jaxik.planning.moving_search import Edge, edge_of, legs_of, mapped, open_times, soonest
@@ -39,7 +40,7 @@ NEAR = 0.6  # [rad, m] about the start and the goal, where half of them are draw
 LOOKS = 32  # times at which they are looked at
 
 Timed = Callable[[list[JointPath]], list[Trajectory]]
-Planned = Callable[[np.ndarray, np.ndarray], PlanResult]
+Planned = Callable[[Scene, np.ndarray, np.ndarray], PlanResult]
 
 
 class Stuck(NamedTuple):
@@ -69,14 +70,17 @@ class Traffic:
         self.stuck: Stuck | None = None
 
     def proven(self, motion: Trajectory) -> Proof:
-        """Whether a motion from the start on is proven with all of its brakings, or some time at which it is not. A braking
-        falls behind by no more time than it goes on, and by no more than half of what the longest one takes."""
-        course = Course.of(motion, self.start, self.weights)
-        cells = cells_between(0.0, float(motion.duration), lambda since: np.minimum(since, self.delay))
-        found = proof(self.near, course, cells, self.margin, RESOLUTION, self.margin, first=True)
+        """Whether a motion from the start on is proven with all of its brakings, or some time at which it is not."""
+        course, late = Course.of(motion, self.start, self.weights), self.late(motion)
+        cells = cells_between(0.0, float(motion.duration), late)
+        found = proof(self.near, course, cells, self.margin, RESOLUTION, self.margin, late, first=True)
         if found.contact < np.inf and (self.stuck is None or self.start + found.contact > self.stuck.time):
             self.stuck = Stuck(found.object, self.start + found.contact)
         return found
+
+    def late(self, motion: Trajectory) -> Delay:
+        """How late a motion may be that brakes."""
+        return delay_of(motion, self.limits, self.reserve)
 
     def ahead(self, lasts: float) -> float:
         """For how long a motion that lasts so long is looked for [s]."""
@@ -93,12 +97,14 @@ class Traffic:
         last = len(chart.places) - 1
         if not chart.stands[0, 0] or not whole.place[-1] > 0.0:
             return None
-        paces = [edge_of(chart, 0, 1, (0, last), slower(whole, pace)) for pace in PACES]
+        late = self.late(whole)
+        paces = [edge_of(chart, 0, 1, (0, last), slower(whole, pace), late) for pace in PACES]
         found = self._searched(np.array([0, last]), chart, paces)
         if found is not None:
             return found
         stops = self._stops(chart.places, via)
-        return self._searched(stops, chart, self._between(path, chart, stops)) if len(stops) > 2 else None
+        late = Delay(late.edges[[0, -1]], late.most.max(keepdims=True))  # about that of its parts: what is found is proven
+        return self._searched(stops, chart, self._between(path, chart, stops, late)) if len(stops) > 2 else None
 
     def _stops(self, places: np.ndarray, via: Sequence[float]) -> np.ndarray:
         """The numbers of the places at which the robot may stop, from first to last: places are as far apart as it travels."""
@@ -107,17 +113,16 @@ class Traffic:
         passed = [np.argmin(np.abs(places - each)) for each in via]
         return np.unique(np.concatenate([even, passed])).astype(int)
 
-    def _between(self, path: JointPath, chart: Any, stops: np.ndarray) -> list[Edge]:
+    def _between(self, path: JointPath, chart: Any, stops: np.ndarray, late: Delay) -> list[Edge]:
         """The motions from each stop to each other one."""
         pairs = [(i, k) for i in range(len(stops)) for k in range(i + 1, len(stops))]
         parts = [part_of(path, *chart.places[stops[[i, k]]]) for i, k in pairs]
         motions = [each.in_numpy() for each in self.timed(parts)]
         edges = []
-        for pace in PACES:
-            for (i, k), motion in zip(pairs, motions, strict=True):
-                drawn_out = slower(motion, pace)
-                edges.append(edge_of(chart, i, k, (stops[i], stops[k]), drawn_out))
-                edges.append(edge_of(chart, k, i, (stops[k], stops[i]), backwards(drawn_out)))
+        for (i, k), motion in zip(pairs, motions, strict=True):
+            for first, last, moved in ((i, k, motion), (k, i, backwards(motion))):
+                rows = int(stops[first]), int(stops[last])
+                edges += [edge_of(chart, first, last, rows, slower(moved, pace), late) for pace in PACES]
         return edges
 
     def _searched(self, stops: np.ndarray, chart: Any, edges: list[Edge]) -> Trajectory | None:
@@ -160,14 +165,21 @@ def _of(path: JointPath) -> tuple[Any, Any]:
 
 
 def detours(traffic: Traffic, start: np.ndarray, goal: np.ndarray, planned: Planned, lasts: float, seed: int) -> Any:
-    """Yields paths from the start to the goal through other postures, the shortest first, the places of these on them, and
-    their waypoints: postures that keep clear of what moves for as long as is looked ahead."""
+    """Yields other paths from the start to the goal, the places on them where the robot may stop, and their waypoints: around
+    what moves as it stands at last or half way there; and through postures that keep clear of it, the shortest first."""
+    last = min(traffic.moving.settled, traffic.start + traffic.ahead(lasts))
+    for then in (last, 0.5 * (traffic.start + last)):
+        way = planned(traffic.moving.at(then), start[None], goal[None])
+        if way.success[0]:
+            yield way.trajectory[0].path, (), way.waypoints[0]
+    standing = traffic.moving.standing
     robot, rng = traffic.robot, np.random.default_rng((seed, 43))
     space = CollisionChecker(robot, traffic.moving.standing, traffic.margin)
-    anywhere = rng.uniform(space.lower, space.upper, (DRAWN // 2, len(start))) if np.isfinite(space.lower).all() else []
-    ends = np.stack([start, goal])[rng.integers(2, size=DRAWN // 2)]
+    ends = np.stack([start, goal])[rng.integers(2, size=DRAWN)]
     close = np.clip(ends + rng.normal(0.0, NEAR, ends.shape), space.lower, space.upper)
-    drawn = np.concatenate([close, anywhere]) if len(anywhere) else close
+    bounded = np.isfinite(space.upper - space.lower)
+    anywhere = rng.uniform(np.where(bounded, space.lower, -np.pi), np.where(bounded, space.upper, np.pi), close.shape)
+    drawn = np.concatenate([close[: DRAWN // 2], anywhere[: DRAWN // 2]])
     drawn = drawn[~space.hits(drawn)]
     clock = traffic.start + np.linspace(0.0, traffic.ahead(lasts), LOOKS)
     clear = (traffic.near.over(drawn, clock) - traffic.moving.errors(clock)).min(axis=(1, 2), initial=np.inf)
@@ -177,16 +189,22 @@ def detours(traffic: Traffic, start: np.ndarray, goal: np.ndarray, planned: Plan
     if not len(drawn):
         return
     count = len(drawn)
-    ways = planned(np.concatenate([np.tile(start, (count, 1)), drawn]), np.concatenate([drawn, np.tile(goal, (count, 1))]))
+    ways = planned(
+        standing, np.concatenate([np.tile(start, (count, 1)), drawn]), np.concatenate([drawn, np.tile(goal, (count, 1))])
+    )
     for i in range(count):
         if ways.success[i] and ways.success[count + i]:
             out, back = ways.trajectory[i].path, ways.trajectory[count + i].path
             waypoints = np.concatenate([ways.waypoints[i], ways.waypoints[count + i][1:]])
-            yield joined_paths(out, back), float(np.sum(out.lengths)), waypoints
+            yield joined_paths(out, back), (float(np.sum(out.lengths)),), waypoints
 
 
 def among_what_moves(
-    found: PlanResult, scenes: Sequence[MovingScene], traffic: Callable[[MovingScene], Traffic], planned: Any, seed: int
+    found: PlanResult,
+    scenes: Sequence[MovingScene],
+    traffic: Callable[[MovingScene], Traffic],
+    planned: Planned | None,
+    seed: int,
 ) -> PlanResult:
     """The motions of a batch that were planned as if nothing moved, one a scene, timed and proven among what moves, or reasons
     why not. `planned(scene, starts, goals)` plans others among what stands, or is None where there are to be none."""
@@ -206,9 +224,8 @@ def among_what_moves(
             motion = here.motion(trajectories[i].path)
             if motion is None and planned is not None:
                 lasts = float(trajectories[i].duration)
-                others = lambda starts, goals, moving=moving: planned(moving.standing, starts, goals)
-                for path, via, waypoints in detours(here, way[0], way[-1], others, lasts, seed):
-                    motion = here.motion(path, (via,))
+                for path, via, waypoints in detours(here, way[0], way[-1], planned, lasts, seed):
+                    motion = here.motion(path, via)
                     if motion is not None:
                         ways[i], steps = waypoints, np.diff(waypoints, axis=0) * here.weights
                         lengths[i] = np.linalg.norm(steps, axis=1).sum()

@@ -82,7 +82,8 @@ def trajectory_clearance(
     near = MovingDistances(robot, moving, margin, start_time + lasts)
     moves = proof(near, course, cells_between(0.0, min(lasts, stands.contact)), margin, resolution, enough)
     first = min(stands.contact, moves.contact)
-    who = None if first == np.inf else moving.names[moves.object] if moves.contact == first else ""
+    moved = moves.object >= 0 and moves.contact == first
+    who = None if first == np.inf else moving.names[moves.object] if moved else ""
     bound = min(stands.clearance, moves.clearance)
     return TrajectoryClearance(bound, first, who, moves.nearest, stands.evaluations + moves.evaluations)
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.planning.moving_cells import travel_along
+from jaxik.planning.moving_delay import Delay
 from jaxik.planning.moving_distances import MovingDistances
 from jaxik.planning.moving_parts import Leg
 from jaxik.planning.trajectory import JointPath, Trajectory, path_at, place_at
@@ -27,7 +28,7 @@ FINE = 8  # moments of a motion between two of its own, by which it is told when
 
 class Map(NamedTuple):
     """What is free of a way: at places (p,), and times (t,) a `tick` [s] apart from its beginning on, whether the robot may
-    stand there (p, t), and whether it may pass, so that it is still free some time later, when it may be there braking."""
+    stand there (p, t), and whether it may pass (d, p, t), when it is there up to so many ticks later, braking."""
 
     places: np.ndarray
     tick: float
@@ -37,13 +38,14 @@ class Map(NamedTuple):
 
 class Edge(NamedTuple):
     """A motion from rest at one stop to rest at another, by their numbers, and by which ticks (e,) after its departure it is at
-    which of a map's places, by their numbers (e,)."""
+    which of a map's places, by their numbers (e,), and how many ticks later at most if it brakes (e,)."""
 
     first: int
     last: int
     motion: Trajectory
     rows: np.ndarray
     ticks: np.ndarray
+    late: np.ndarray
 
     @property
     def lasts(self) -> float:
@@ -74,32 +76,36 @@ def mapped(
     asked = near.moving.errors(clock) + SHARE * 0.5 * moved
     clear = np.min(found - asked, axis=2, initial=np.inf)
     free = clear > margin + SHARE * 0.5 * reached[-1] / (count - 1)
-    passes = free.copy()
-    for k in range(1, late + 1):
-        passes[:, :-k] &= free[:, k:]
     whole = len(clock) - late
-    return Map(places, tick, free[:, :whole], passes[:, :whole])
+    passes = [free[:, :whole]]
+    for k in range(1, late + 1):
+        passes.append(passes[-1] & free[:, k : k + whole])
+    return Map(places, tick, passes[0], np.stack(passes))
 
 
-def edge_of(chart: Map, first: int, last: int, rows: tuple[int, int], motion: Trajectory) -> Edge:
-    """The edge of a motion from a map's place of the first of such numbers to that of the last one."""
+def edge_of(chart: Map, first: int, last: int, rows: tuple[int, int], motion: Trajectory, delay: Delay) -> Edge:
+    """The edge of a motion from a map's place of the first of such numbers to that of the last one. Its `delay` may be that of
+    the same motion when it is quicker."""
     begin, end = rows
     some = np.arange(begin, end + 1) if begin <= end else np.arange(begin, end - 1, -1)
     share = (np.arange(FINE) / FINE)[:, None]
     time = np.append((motion.time[:-1] + share * np.diff(motion.time)).T.ravel(), motion.time[-1])
     way = place_at(np, motion, time)[1]
     beyond = np.abs(chart.places[some] - chart.places[begin]) * way[-1] / abs(chart.places[end] - chart.places[begin])
-    return Edge(first, last, motion, some, np.floor(np.interp(beyond, way, time) / chart.tick).astype(int))
+    when = np.interp(beyond, way, time)
+    own = when * delay.edges[-1] / max(float(time[-1]), 1e-9)
+    late = np.ceil(delay.within(own, own) / chart.tick).astype(int)
+    return Edge(first, last, motion, some, np.floor(when / chart.tick).astype(int), np.minimum(late, len(chart.passes) - 1))
 
 
 def open_times(chart: Map, edge: Edge) -> np.ndarray:
     """At which ticks (t,) an edge may depart."""
-    count = chart.passes.shape[1]
+    count = chart.passes.shape[2]
     departs = np.arange(max(0, count - int(edge.ticks.max()) - 1))
     at = edge.ticks[:, None] + departs
     found = np.zeros(count, bool)
-    rows = edge.rows[:, None]
-    found[: len(departs)] = (chart.passes[rows, at] & chart.passes[rows, at + 1]).all(axis=0)
+    late, rows = edge.late[:, None], edge.rows[:, None]
+    found[: len(departs)] = (chart.passes[late, rows, at] & chart.passes[late, rows, at + 1]).all(axis=0)
     return found
 
 

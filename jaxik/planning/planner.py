@@ -110,7 +110,8 @@ def plan_motion(
     if options.along is not None and options.escape:
         raise ValueError("plan_motion: a way out of a collision keeps no tasks; leave out escape or along")
     check_geometry(robot)
-    found = (_in_time if moves else _planned)(robot, scene, asked, seed, options, progress)  # type: ignore[operator]
+    plan: Any = _in_time if moves else _planned
+    found: PlanResult = plan(robot, scene, asked, seed, options, progress)
     return found[0] if asked.single else found
 
 
@@ -123,8 +124,9 @@ def _in_time(
     progress: Callable[[int, int], Any] | None,
 ) -> PlanResult:
     """Plans each of the problems in a scene in which something moves."""
-    several, shape, share = not isinstance(scene, MovingScene), (robot.num_joints,), 1.0 - options.braking
-    scenes = [standing_of(each) for each in scene] if several else [scene] * len(asked.starts)  # type: ignore[union-attr]
+    shape, share = (robot.num_joints,), 1.0 - options.braking
+    one = isinstance(scene, MovingScene)
+    scenes = [scene] * len(asked.starts) if isinstance(scene, MovingScene) else [standing_of(each) for each in scene]
     most = motion_limits("plan_motion", robot, options.velocity, options.acceleration, shape)
     jerk = None if options.jerk is None else limit_of("plan_motion", "jerk", options.jerk, shape)
     kept = Limits(most.velocity, share * most.acceleration), None if jerk is None else share * jerk
@@ -139,7 +141,7 @@ def _in_time(
         fewer = options.changed({"rounds": min(options.rounds, DETOUR), "improve": None, "escape": False})
         return _planned(robot, standing, ends("plan_motion", robot, starts, goals, several_poses=True), seed, fewer, None)
 
-    standing = [each.standing for each in scenes] if several else scene.standing  # type: ignore[union-attr]
+    standing = scenes[0].standing if one and scenes else [each.standing for each in scenes]
     found = _planned(robot, standing, asked, seed, options, progress)
     free = options.along is None and not options.moving
     return among_what_moves(found, scenes, traffic, others if free else None, seed)

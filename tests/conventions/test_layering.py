@@ -114,6 +114,9 @@ INSIDE = {  # what reaches inside, and why there is no public way: it measures a
     ("batch_eval/collision_models.py", "jaxik.collision.own_shape.WITHIN"): "where an exact robot's triangles decide",
     ("batch_eval/collision_scaling.py", "jaxik.collision.bvh.grouped"): "what grouping a scene takes",
     ("batch_eval/mesh_benchmark.py", "jaxik.collision.bvh.grouped"): "what grouping a scene takes",
+    ("batch_eval/moving_benchmark.py", "jaxik.planning.braking.Brake"): "a braking as it is driven, which is judged",
+    ("batch_eval/moving_benchmark.py", "jaxik.planning.braking.braking"): "a braking as it is driven, which is judged",
+    ("batch_eval/moving_benchmark.py", "jaxik.planning.limits.Limits"): "the limits that a braking takes",
     ("batch_eval/papers/ilqr.py", "jaxik.optimise.ocp"): "the problem that two solvers share",
     ("batch_eval/peppers.py", "jaxik.collision.continuous_collision.joint_reaches"): "samples like a peer's",
     (

@@ -23,6 +23,7 @@ Q = jnp.linspace(0.1, 0.5, 9)
 POSE = jnp.asarray(jaxik.pose([0.3, 0.2, 0.4]))
 SPHERES = np.array([[0.4, 0.1, 0.3 + 0.1 * k, 0.05] for k in range(9)])
 SCENE = jaxik.make_scene(spheres=[[0.5, 0.1, 0.4, 0.1]], boxes=[[0.5, 0.5, 0.5, 0.1, 0.1, 0.1]])
+MOVING = collision.MovingScene(SCENE, {"spheres_1": collision.Track.steady(velocity=[0.1, 0.0, 0.0], turning=[0.0, 0.0, 1.0])})
 FIELD = fields.DistanceField(np.ones((3, 4, 5)), np.eye(4), 0.1)
 MOTION = motions.TipMotion.still(POSE)
 TOUCH = dynamics.PointForce(3, jnp.array([0.1, 0.0, 0.2]), jnp.array([1.0, 2.0, 3.0]))
@@ -32,6 +33,8 @@ HOLD = lambda q: jnp.sum(q * q)
 CALLS = {  # name -> (function of arrays, arrays)
     "analytic.closed_form": (lambda pose: analytic.closed_form(UR, pose), POSE),
     "collision.clearance": (lambda q: collision.clearance(ARM, SCENE, q), Q),
+    "collision.clearance_at": (lambda q: collision.clearance_at(ARM, MOVING, q, 0.1 * q[0]), Q),
+    "collision.MovingScene.at": (lambda t: MOVING.at(t).spheres.center, 0.3),
     "collision.collides": (lambda q: collision.collides(ARM, SCENE, q), Q),
     "collision.robot_spheres": (lambda q: collision.robot_spheres(ARM, q), Q),
     "collision.motion_clearance": (lambda q: collision.motion_clearance(ARM, SCENE, q, 1.1 * q), Q),
