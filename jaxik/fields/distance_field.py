@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from pathlib import Path
 from typing import Any
@@ -118,7 +119,8 @@ def load_field(path: str | Path) -> DistanceField:
     file = Path(path)
     zarr = optional("load_field", "zarr", "sweep") if _is_zarr(file) else None
     try:
-        held: Any = np.load(file) if zarr is None else zarr.open_group(file, mode="r")
+        # NumPy leaves a file open that is no archive
+        held: Any = np.load(io.BytesIO(file.read_bytes())) if zarr is None else zarr.open_group(file, mode="r")
         arrays = {name: np.asarray(held[name][...]) for name in NAMES}
     except Exception as error:  # whatever readers of archives raise is the file's fault
         raise ValueError(f"load_field: {file}: {shown(error)}; give a file that DistanceField.save wrote") from None
