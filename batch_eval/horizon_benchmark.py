@@ -74,8 +74,8 @@ def controller(seconds: float, minds: bool) -> jaxik.motions.PredictiveControlle
 def moved(
     control: jaxik.motions.PredictiveController, count: int, seed: int, compiled: Callable[[], int]
 ) -> dict[str, np.ndarray]:
-    """One motion: the seconds of each step, by the clock and of all processors, and of each new cloud, how near to the points the arm was at each sample [m], the
-    velocities, the tip's errors [m], and how many programs were compiled."""
+    """One motion: the seconds of each step, by the clock and of all processors, and of each new cloud; how near to the points
+    the arm was at each sample [m], the velocities, the tip's errors [m], and how many programs were compiled."""
     path, state, rows, trees, before = case.path(control.robot), control.init(case.START), [], [], compiled()
     for scene, tree, took in frames(count, seed):
         begin, busy = time.perf_counter(), time.process_time()

@@ -52,7 +52,8 @@ def test_the_page_has_clouds_fields_and_what_was_not_seen(tmp_path):
 def test_a_log_is_played(tmp_path):
     robot = jaxik.load("planar2")
     scene = jaxik.make_scene(spheres=[[5.0, 0.0, 0.0, 0.1]]).with_room(spheres=16)
-    replanner = jaxik.Replanner(robot, [0.0, 0.3], scene=scene, log=tmp_path / "run.jsonl")
+    limits = {"velocity": [2.0, 2.0], "acceleration": [5.0, 5.0]}
+    replanner = jaxik.Replanner(robot, [0.0, 0.3], scene=scene, log=tmp_path / "run.jsonl", **limits)
     replanner.go([1.0, 0.3])
     for number in range(60):
         scene = scene.with_("late", spheres=[[-1.5, 0.0, 0.0, 0.1]]) if number == 5 else scene
