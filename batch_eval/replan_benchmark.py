@@ -1,11 +1,12 @@
 """A Panda over a table, among things that drop in while it moves: `python batch_eval/replan_benchmark.py [--seeds N]`.
 
 The arm goes to and fro between random free postures within Franka's limits, and a `jaxik.Replanner` is told the world 30 times
-a second, each time as a new scene. Twenty boxes, cylinders and balls appear at random times between two updates: a quarter
-of them anywhere over the table, the others near the arm's coming way, and only where the motion by which it would stop at the next
-update keeps `FREE` from them, for what falls on the arm cannot be avoided, and where the goal does. The set points, a thousand a second, are judged from
-outside: by coal, whether they hit, and by their finite differences, whether they keep the limits. One run is killed, and its
-log replayed. Prints, and writes `batch_eval/replan_benchmark.json`. Needs `pip install ".[test,peers]"`.
+a second, which is another one each time. Twenty boxes, cylinders and balls appear at random times between two updates: a
+quarter of them anywhere over the table, the others near the arm's coming way, and only where the motion by which it would stop
+at the next update keeps `FREE` from them, for what falls on the arm cannot be avoided, and where the goal does. The set points,
+a thousand a second, are judged from outside: by coal, whether they hit, and by their finite differences, whether they keep the
+limits. One run is killed, and its log replayed. Prints, and writes `batch_eval/replan_benchmark.json`. Needs
+`pip install ".[test,peers]"`.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ HOME = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.8])
 PATIENCE = 0.5  # [s] that the arm stands blocked before it is given another goal
 ANYWHERE = 0.25  # share of things that may be anywhere over the table; the others are near the arm's coming way
 MEASURED = 11  # set points of which one is measured, beside being asked whether it hits
+SUMS = "hits", "set points", "things", "goals", "other goals", "late"
 TRIES = 200  # places that are drawn for a thing, before it is left out
 
 
@@ -166,7 +168,9 @@ def row(run: Run) -> dict[str, Any]:
     kinds = [each.event for each in run.events]
     counts = {event.value: kinds.count(event) for event in Event}
     late = sum(each.late for each in run.events)
-    refused = Counter(f"{each.refusal.where or 'way'}: {Reason(each.refusal.reason).text}" for each in run.events if each.refusal)
+    refused = Counter(
+        f"{each.refusal.where or 'way'}: {Reason(each.refusal.reason).text}" for each in run.events if each.refusal
+    )
     things = len(run.scene.object_names) - 2
     found = judged(run) | {"things": things, "goals": run.goals, "other goals": run.others, "late": late}
     return found | {"events": counts, "refused": dict(refused)}
@@ -218,8 +222,12 @@ def main() -> None:
         rows.append(row(run))
         for kind, some in run.seconds.items():
             seconds[kind] += some
-        print(seed, {name: round(value, 3) if isinstance(value, float) else value for name, value in rows[-1].items()}, flush=True)
-    total = {name: sum(each[name] for each in rows) for name in ("hits", "set points", "things", "goals", "other goals", "late")}
+        print(
+            seed, {name: round(value, 3) if isinstance(value, float) else value for name, value in rows[-1].items()}, flush=True
+        )
+    total = {
+        name: sum(each[name] for each in rows) for name in ("hits", "set points", "things", "goals", "other goals", "late")
+    }
     total |= {name: max(each[name] for each in rows) for name in ("velocity", "acceleration", "jerk")}
     total |= {"least distance": min(each["least distance"] for each in rows)}
     total |= {"refused": dict(sum((Counter(each["refused"]) for each in rows), Counter()))}

@@ -52,6 +52,7 @@ from tables.postures import (
     sweep_markdown,
 )
 from tables.programs import programs_markdown
+from tables.replanning import replanning_markdown
 from tables.teleoperation import teleoperation_markdown
 from tables.tips import tips_markdown
 from tables.tool_paths import tool_paths_markdown
@@ -101,6 +102,7 @@ TABLES = {
     "predictive_benchmark.json": predictive_markdown,
     "predictive_statistics.json": statistics_markdown,
     "random_programs.json": programs_markdown,
+    "replan_benchmark.json": replanning_markdown,
     "roadmap_benchmark.json": roadmap_markdown,
     "slit_benchmark.json": slit_markdown,
     "sweep_benchmark.json": sweep_markdown,

@@ -2,10 +2,10 @@
 
 Here is what everybody needs; the rest is in the packages, which are there after `import jaxik`: `kinematics`,
 `dynamics`, `analytic`, `homotopy`, `collision`, `fields`, `sensing`, `costs`, `fitting`, `files`, `ik`, `motions`, `planning`,
-`replanning`, `identification`, `estimation`, `touch`, `teleoperation`, `reach`, `harvesting`, `sweeps`, `view`, `codegen`, and, knowing no
-robot, `spatial`, `optimise` and `spmd`. Each docstring says where its function runs: "Traced." takes one configuration, and is
-for `jit`, `vmap` and `grad`; "Host driver." takes many, chunks and pads them, and gives NumPy; "Host." runs once, outside of
-JAX's transformations.
+`replanning`, `identification`, `estimation`, `touch`, `teleoperation`, `reach`, `harvesting`, `sweeps`, `view`, `codegen`, and,
+knowing no robot, `spatial`, `optimise` and `spmd`. Each docstring says where its function runs: "Traced." takes one
+configuration, and is for `jit`, `vmap` and `grad`; "Host driver." takes many, chunks and pads them, and gives NumPy; "Host."
+runs once, outside of JAX's transformations.
 """
 
 import importlib

@@ -65,8 +65,9 @@ class Pytree:
         return hash(jax.tree_util.tree_structure(self))
 
     def __repr__(self) -> str:
-        """The fields, arrays by their type and shape."""
-        shown = lambda x: f"{x.dtype}{list(x.shape)}" if hasattr(x, "dtype") and hasattr(x, "shape") else repr(x)
+        """The fields, arrays by their type and shape, single numbers as they are."""
+        shape = lambda x: f"{x.dtype}{list(x.shape)}" if hasattr(x, "dtype") and hasattr(x, "shape") else repr(x)
+        shown = lambda x: repr(x.item()) if isinstance(x, np.ndarray | np.generic) and x.ndim == 0 else shape(x)
         fields = ((f.name, getattr(self, f.name)) for f in dataclasses.fields(self))  # type: ignore[arg-type]
         return f"{type(self).__name__}({', '.join(f'{name}={shown(value)}' for name, value in fields)})"
 

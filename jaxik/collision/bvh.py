@@ -78,19 +78,21 @@ class Obstacles:
         if self.leaves is None:
             return Form(CLOUD_LEAF, len(self.boxes) // 2, False)
         room = len(self.leaves.radius)
-        return Form(len(next(iter(self.rows.values()))) // room if room else 1, room, self.bodies is not None)
+        size = len(next(iter(self.rows.values()))) // room if room else 1
+        return Form(size, room, self.bodies is not None, self.rows[NODES].shape[1] if NODES in self.rows else 0)
 
 
 Grouped = tuple[Obstacles | Own, ...]
 
 
 class Form(NamedTuple):
-    """The shapes of `Obstacles`' arrays follow from this, besides their kind: the rows a leaf, the room for leaves, and whether
-    there may be solids of triangles."""
+    """The shapes of `Obstacles`' arrays follow from this, besides their kind: the rows a leaf, the room for leaves, whether
+    there may be solids of triangles, and the room for a field's nodes."""
 
     size: int
     room: int
     solid: bool
+    nodes: int = 0
 
 
 def grouped(scene: Scene | Grouped | None, robot: Robot, by_object: bool = False) -> Grouped:
@@ -124,7 +126,7 @@ def grouped_alike(scenes: Sequence[Scene], robot: Robot) -> list[tuple[Obstacles
     for obstacles in itertools.chain.from_iterable(each):
         form, other = obstacles.form, forms.get(obstacles.kind, obstacles.form)
         most = max(form.size, other.size), max(form.room, other.room)
-        forms[obstacles.kind] = Form(*most, form.solid or other.solid)
+        forms[obstacles.kind] = Form(*most, form.solid or other.solid, max(form.nodes, other.nodes))
     alike = tuple((kind, forms[kind]) for kind in (*SHAPES, *_clouds_among(forms)) if kind in forms)
     fits = lambda found: tuple((o.kind, o.form) for o in found) == alike
     anew = lambda scene: _kept(scene, robot.ignored, False, alike)
@@ -141,10 +143,16 @@ def grouped_in(scene: Scene, robot: Robot, forms: dict[str, Form] | None = None)
     if forms is not None and (got := forms_of(found)) != forms:
         points = {kind: cloud.count for kind, cloud in zip(_clouds_among(got), scene.clouds, strict=False)}
         counts = {kind: count for kind, count in (scene.counts | points).items() if got.get(kind) != forms.get(kind)}
-        room = {kind: form.size * form.room for kind, form in forms.items()}
-        told = " and ".join(f"{count} {kind} with room for {room.get(kind, 0)}" for kind, count in counts.items())
+        told = " and ".join(_told(kind, count, got[kind], forms.get(kind)) for kind, count in counts.items())
         raise ValueError(f"scene '{scene.name}': {told} in what was made before; make it anew for this scene")
     return found + own_shapes(robot)
+
+
+def _told(kind: str, count: int, got: Form, form: Form | None) -> str:
+    """Says of so many obstacles of a kind for what there was room."""
+    if form is not None and got.nodes > form.nodes:
+        return f"{kind} of {got.nodes:,} nodes with room for {form.nodes:,}"
+    return f"{count} {kind} with room for {0 if form is None else form.size * form.room}"
 
 
 def _roomy(kind: str, count: int) -> Form:
@@ -272,8 +280,10 @@ def _obstacles(
     """Obstacles of a kind, and which object each of their rows belongs to; `masks` of each object, and of what belongs to none,
     at last."""
     known = is_known(rows)
-    size = max(LEAF[kind] if not known or len(owner) > FAN else 1, least.size)  # a few fill no leaf
     xp = np if known else jnp
+    if kind == "fields" and (lacks := least.nodes - rows[NODES].shape[1]) > 0:
+        rows = rows | {NODES: xp.pad(rows[NODES], [(0, 0), (0, lacks)])}
+    size = max(LEAF[kind] if not known or len(owner) > FAN else 1, least.size)  # a few fill no leaf
     center, radius = extent(rows if known else lax.stop_gradient(rows), xp)
     there = np.arange(len(radius)) if not known else np.flatnonzero(~(np.abs(center).max(axis=1) > FAR / 2.0))
     key = owner[there] if by_object else masks[owner[there]]

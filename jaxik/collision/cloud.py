@@ -7,6 +7,7 @@ build as to sort numbers. Its shape depends on the room alone: another cloud wit
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -18,6 +19,7 @@ from jaxtyping import Float
 from jaxik.checks.arrays import Array, as_numbers, check_shape, is_known, numbers
 from jaxik.checks.options import as_count, shown
 from jaxik.collision.leaf_rows import FAR, SLACK
+from jaxik.collision.obstacle_kinds import LIMIT
 from jaxik.pytree import Constant, static
 from jaxik.spmd.host import HostKernel
 
@@ -160,8 +162,9 @@ def check_cloud(who: str, cloud: Cloud) -> None:
 
 def _order(who: str, points: np.ndarray) -> np.ndarray:
     """The numbers of the points (n, 3) that are finite, along Morton's curve."""
+    middle = _middle(points, np)
     with jax.enable_x64(False):  # an order needs no more
-        (places,) = _PLACES(points, _middle(points, np))
+        (places,) = _PLACES(points, middle)
     # numbers are sorted faster than they are ordered: the place above, the point's number below
     keys = np.sort(places.astype(np.uint64) << np.uint64(32) | np.arange(len(places), dtype=np.uint64))
     last = np.uint64(TOO_FAR) << np.uint64(32)
@@ -171,6 +174,9 @@ def _order(who: str, points: np.ndarray) -> np.ndarray:
         raise ValueError(
             f"{who}: point {row + 1} is {shown(points[row])}, over {REACH:g} m away; lengths are metres, not millimetres"
         )
+    if LIMIT < np.abs(middle).max() < FAR / 2.0:
+        told = f"most of the points are over {LIMIT:g} m away; are they in millimetres? give points / 1000"
+        warnings.warn(f"{who}: {told}", stacklevel=4)
     return np.asarray(numbers_of(keys[:near]))
 
 
@@ -219,7 +225,7 @@ _PLACES, _LEAF_BOXES = HostKernel(_place, 1), HostKernel(_leaf_box, 1)
 def _placed(center: Any, radius: Any, name: str) -> Cloud:
     """The cloud of points that are in an order, with their boxes: those of a level two by two in that above."""
     rows = center.reshape(-1, LEAF, 3)
-    if known := is_known(center):
+    if known := isinstance(center, np.ndarray):  # JAX's arrays are a trace's, also where they are no tracers: the radius may be
         with jax.enable_x64(center.dtype == np.float64):
             (level,) = _LEAF_BOXES(rows)
     else:

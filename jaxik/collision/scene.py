@@ -20,9 +20,10 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, Shape, check_known, check_shape, is_known, is_rigid, rigid_frame
 from jaxik.checks.options import as_count, check_flag, no_such, shown
-from jaxik.collision.cloud import Cloud, check_cloud, cloud_of, clouds_alike
+from jaxik.collision.cloud import REACH, Cloud, check_cloud, cloud_of, clouds_alike
 from jaxik.collision.obstacle_kinds import (
     KINDS,
+    LIMIT,
     SHAPES,
     SIZES_OF,
     Boxes,
@@ -34,7 +35,7 @@ from jaxik.collision.obstacle_kinds import (
     Triangles,
     places_after,
 )
-from jaxik.collision.obstacle_rows import check_count, kinds_of, rows_of_object, with_bodies
+from jaxik.collision.obstacle_rows import check_count, kinds_of, line_of_text, rows_of_object, with_bodies
 from jaxik.pytree import Constant, replaced, static
 
 SIZES = (0, 8, 32, *(k * 2**n for n in range(5, 14) for k in (2, 3)))
@@ -143,6 +144,8 @@ class Scene(Constant):
         new = getattr(field, "as_solid", None)
         if new is None:
             raise ValueError(f"with_field: {type(field).__name__}; give a jaxik.fields.DistanceField")
+        line_of_text("with_field", name)
+        check_flag("with_field", removable=removable)
         if name not in self.object_names:
             names, flags = (*self.object_names, name), (*self.removable, bool(removable))
             owners = (*self.owners[:-1], (*self.owners[-1], len(self.object_names)))
@@ -178,8 +181,7 @@ class Scene(Constant):
         capacity or 2^20, points that are too far away, a count or capacity that is none, a radius that is below 0 or not
         finite, and a name that another object has.
         """
-        if not isinstance(name, str) or name.splitlines() != [name] or not name.strip():
-            raise ValueError(f"with_cloud: the name {shown(repr(name))} is not one line of text; write a word")
+        line_of_text("with_cloud", name)
         former = next((cloud for cloud in self.clouds if cloud.name == name), None)
         if former is None and name in self.object_names:
             raise ValueError(f"scene '{self.name}': '{shown(name)}' is another object; give the cloud a name of its own")
@@ -220,16 +222,36 @@ class Scene(Constant):
         that holds it there, stands at its pose (4, 4); the poses of several may be (k, 4, 4). Nothing compiles anew, and trees
         of obstacles are not built anew but fitted, where a few objects move again and again.
 
-        Raises `ValueError` for what is no rigid frame, and an object that is not there.
+        Raises `ValueError` for what is no rigid frame, an object that is not there, and one that would be over 100 m away, or
+        100 km of a cloud.
         """
         if pose is not None:
             objects = self._indices(first)
             poses = _frames_of("moved: pose", pose, len(objects))
-            return self._changed([Change(*each) for each in zip(objects, poses, strict=True)])
+            changes = [Change(*each) for each in zip(objects, poses, strict=True)]
+            for change in changes:
+                if is_known(change.pose) and np.abs(change.pose[:3, 3]).max() > LIMIT:  # what is near need not be looked at
+                    self._check_reach(change)
+            return self._changed(changes)
+        if isinstance(first, str):
+            raise ValueError(f"moved: '{shown(first)}' without a pose; write moved('{shown(first)}', pose)")
         pose = rigid_frame("moved: a_T_world", first)
         kinds = {kind: getattr(self, kind).put(lambda place: places_after(place, pose)) for kind in KINDS}
         marks, clouds = tuple(mark.moved(pose) for mark in self.marks), tuple(cloud.moved(pose) for cloud in self.clouds)
         return dataclasses.replace(self, marks=marks, clouds=clouds, **kinds)
+
+    def _check_reach(self, change: Change) -> None:
+        """Raises `ValueError` for an object, if it is there, that a change takes further away than an obstacle may be."""
+        name = self.object_names[change.object]
+        kinds = [(getattr(self, kind), rows) for kind, rows in self.rows_of(change.object)]
+        places = [(x[rows[kind.there[rows]]], LIMIT) for kind, rows in kinds for x in kind.places.values() if is_known(x)]
+        places += [(cloud.points, REACH) for cloud in self.clouds if cloud.name == name and is_known(cloud)]
+        for place, most in places:
+            after = places_after(np.asarray(place), change.pose)
+            far = np.abs(after[:, :3, 3] if after.ndim == 3 else after).max(initial=0.0)
+            if far > most:
+                mend = "lengths are metres, not millimetres"
+                raise ValueError(f"moved: '{shown(name)}' would be {far:,.0f} m away, over {most:g} m; {mend}")
 
     def with_(self, name: str, *, removable: Any = True, solid: Any = True, **obstacles: Any) -> Scene:
         """The scene with one more object, or another one in the place of that with this name; the keywords are those of
@@ -287,6 +309,7 @@ class Scene(Constant):
             if kind not in KINDS:
                 raise ValueError(no_such("Scene.with_room", "kind", kind, KINDS))
             room[kind] = as_count(f"Scene.with_room: {kind}", count)
+            check_count(f"Scene.with_room: {kind}", room[kind])
             if (least := getattr(self, kind).count) > room[kind]:
                 raise ValueError(f"Scene.with_room: {kind} {room[kind]}; there are {least} already")
         return dataclasses.replace(self, room=tuple(room.items()))

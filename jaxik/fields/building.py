@@ -40,7 +40,7 @@ def scene_field(
     """
     check_kind("scene_field", "scene", scene, Scene)
     check_known("scene_field", scene=scene)
-    if scene.fields.count or not any(scene.counts.values()):
+    if scene.fields.count or not (any(scene.counts.values()) or any(cloud.count for cloud in scene.clouds)):
         raise ValueError(f"scene_field: scene '{scene.name}' has {'a field' if scene.fields.count else 'nothing in it'}")
     nodes, grid = _nodes("scene_field", low, high, spacing, world_T_grid)
     around = grouped(scene, POINT)
@@ -80,7 +80,7 @@ def cloud_field(
     if not len(given):
         raise ValueError("cloud_field: no point; give at least one that is finite")
     thick, off = (float(numbers(f"cloud_field: {n}", x, ())) for n, x in (("radius", radius), ("noise", noise)))
-    check_finite("cloud_field", radius=thick, noise=off)
+    check_finite("cloud_field", 0.0, radius=thick, noise=off)
     nodes, grid = _nodes("cloud_field", low, high, spacing, world_T_grid)
     tree = KDTree(given)
     return _field("cloud_field", lambda p: tree.query(p, workers=-1)[0] - thick, nodes, grid, spacing, truncation, off)

@@ -45,6 +45,8 @@ class DistanceField(Constant):
 
     def __post_init__(self) -> None:
         who = "DistanceField"
+        if not hasattr(self.values, "shape"):  # a list
+            vars(self)["values"] = numbers(f"{who}: values", self.values)
         check_shape(f"{who}: values", self.values, ("x", "y", "z"))
         if min(self.values.shape) < 2 or math.prod(self.values.shape) > MOST:
             raise ValueError(f"{who}: values of shape {self.values.shape}; allowed: 2 nodes an axis, and {MOST:,} in all")
@@ -88,7 +90,7 @@ class DistanceField(Constant):
     def save(self, path: str | Path) -> None:
         """Writes the field as `.npz`, or as a Zarr group, `.zarr` (extra `[sweep]`). Host.
 
-        Raises `ValueError` for another ending.
+        Raises `ValueError` for another ending, and where it cannot be written.
         """
         check_known("save", field=self)
         arrays = {name: np.asarray(getattr(self, name)) for name in NAMES}
@@ -97,8 +99,12 @@ class DistanceField(Constant):
             for name, array in arrays.items():
                 group.create_array(name, data=array)
         else:
-            with file.open("wb") as stream:
-                np.savez_compressed(stream, allow_pickle=False, **arrays)
+            try:
+                with file.open("wb") as stream:
+                    np.savez_compressed(stream, allow_pickle=False, **arrays)
+            except OSError as error:
+                mend = "name a file in a folder that is there"
+                raise ValueError(f"save: {shown(path)}: cannot be written ({error.strerror}); {mend}") from None
 
 
 NAMES = ("values", "world_T_grid", "spacing", "node_error", "truncation")
@@ -110,10 +116,12 @@ def load_field(path: str | Path) -> DistanceField:
     Raises `ValueError`, one line, for a file that is none, and as `DistanceField`.
     """
     file = Path(path)
+    zarr = optional("load_field", "zarr", "sweep") if _is_zarr(file) else None
     try:
-        held: Any = optional("load_field", "zarr", "sweep").open_group(file, mode="r") if _is_zarr(file) else np.load(file)
+        # NumPy leaves a file open that is no archive
+        held: Any = np.load(io.BytesIO(file.read_bytes())) if zarr is None else zarr.open_group(file, mode="r")
         arrays = {name: np.asarray(held[name][...]) for name in NAMES}
-    except (OSError, KeyError, IndexError, TypeError, EOFError) as error:
+    except Exception as error:  # whatever readers of archives raise is the file's fault
         raise ValueError(f"load_field: {file}: {shown(error)}; give a file that DistanceField.save wrote") from None
     return DistanceField(**arrays)
 

@@ -76,8 +76,9 @@ class Command(Pytree):
 
     def __eq__(self, other: object) -> bool:
         """Whether another command is the same to the last bit, wherever its reasons are looked up."""
-        alone = [replaced(each, place=None) if isinstance(each, Command) else each for each in (self, other)]
-        return Pytree.__eq__(*alone)
+        if not isinstance(other, Command):
+            return False
+        return Pytree.__eq__(replaced(self, place=None), replaced(other, place=None))
 
     __hash__ = Pytree.__hash__
 
@@ -89,6 +90,8 @@ class Command(Pytree):
     def why(self) -> str:
         """What the update did, and what stands in the way, in words."""
         words = [WORDS[self.event]]
+        if self.event in (Event.KEPT, Event.ARRIVED):
+            return words[0]
         if self.hit is not None and self.place is not None:
             near = explain(self.place.robot, self.place.scene, self.hit, count=1).contacts
             words += [f"on its way before {near[0]}"] if near else []
@@ -100,4 +103,4 @@ class Command(Pytree):
 
 def place_of(robot: Robot, scene: Scene | None, margin: float, weights: np.ndarray) -> Place:
     """The place in which reasons are looked up."""
-    return Place(robot, scene, margin, robot.lower, robot.upper, weights, escape=False)
+    return Place(robot, scene, margin, np.asarray(robot.lower), np.asarray(robot.upper), weights, escape=False)

@@ -22,6 +22,7 @@ from jaxik.collision.scene import Scene
 from jaxik.files import load, save
 from jaxik.kinematics.robot import Robot
 from jaxik.replanning.command import Command, Event, place_of
+from jaxik.replanning.course import Course
 from jaxik.replanning.records import decoded, difference, encoded, merged
 from jaxik.replanning.replan_options import ReplanOptions
 from jaxik.version import __version__
@@ -58,8 +59,8 @@ class Log:
 
 
 class LogWriter:
-    """Writes a log as it goes; each line is given to the system at once, and the file closed. Raises `ValueError` for a file that is there already,
-    or cannot be written."""
+    """Writes a log as it goes; each line is given to the system at once, and the file closed. Raises
+    `ValueError` for a file that is there already, or cannot be written."""
 
     def __init__(self, path: Path, robot: Robot, q: np.ndarray, options: ReplanOptions, seed: int, scene: Scene | None):
         try:
@@ -67,7 +68,8 @@ class LogWriter:
         except OSError as error:
             raise ValueError(f"Replanner: log {path}: {error.strerror}; give the path of a new file") from None
         self._path = path
-        self._scene, self._course = encoded(scene), None
+        self._scene = encoded(scene)
+        self._course: Course | None = None
         head = {"jaxik": __version__, "form": FORM, "robot": _as_text(robot), "q": encoded(q), "seed": seed}
         self._line(head | {"options": dataclasses.asdict(options), "scene": self._scene})
 
@@ -114,7 +116,7 @@ def load_log(path: str | Path) -> Log:
 
 def _records(lines: list[dict[str, Any]], told: Any, robot: Robot, margin: float, weights: np.ndarray) -> Iterator[Record]:
     """The records of the lines of updates, after a scene as it was `told` first."""
-    scene, course = decoded(told), None
+    scene, course = decoded(told), Course(np.zeros(0))
     for line in lines:
         if changed := "scene" in line:
             told = merged(told, line["scene"])

@@ -104,4 +104,4 @@ def _proven(
     for k in np.unique(number).tolist():
         rows = number == k
         ends[:, rows] = _at(course.runs[k], np.stack([begin[rows], end[rows]]))
-    return space.proven(*ends, bend * (end - begin) ** 2, resolution)
+    return space.proven(ends[0], ends[1], bend * (end - begin) ** 2, resolution)

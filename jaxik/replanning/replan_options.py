@@ -21,7 +21,7 @@ class ReplanOptions(LimitOptions, who="Replanner"):
         default=0.03,
         least=0.0,
         unit="s",
-        words="time after an update from which on its command may differ from the one before: what it takes to compute and send it",
+        words="time after an update from which on its command may differ from the one before: to compute and to send it",
     )
     rounds: int = count(
         default=1000,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,6 @@ from jaxik.checks.arrays import is_rigid, numbers
 from jaxik.checks.options import check_kind, check_seed, shown
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene, check_scene, remembered
-from jaxik.kinematics.forward import as_posture
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker
@@ -40,11 +40,11 @@ class Replanner:
             command = replanner.update(time, scene)
             replanner.at(time)  # the set point, at any time, a thousand times a second
 
-    What it commands is proven to keep the margin in the world of the last update, and ends at rest. An update proves what is left
-    of the motion in the new world. Where something stands in its way, the motion is braked along its own path before that, and
-    a way is planned from where it will come to rest, which it takes then. Where none is found the robot stops, and each update
-    looks on; so it does when the goal changes. Things that appear within the distance in which the robot can stop are not
-    avoided: it brakes as soon as it can, and the command says so (`late`).
+    What it commands is proven to keep the margin in the world of the last update, and ends at rest. An update proves what is
+    left of the motion in the new world. Where something stands in its way, the motion is braked along its own path before that,
+    and goes on by a way that is planned from where it will come to rest; so it is when the goal changes. Where no way is found
+    the robot stops, and each update looks on. What appears within the distance in which the robot can stop is not avoided: it
+    brakes as soon as it can, and the command says so (`late`).
 
     Limits of velocity, acceleration and jerk hold at every moment, also through changes. `options` and keywords are those of
     `ReplanOptions`; the scene's room (`Scene.with_room`) says for how many things programs are compiled, once. Commands follow
@@ -72,7 +72,7 @@ class Replanner:
         check_seed(who, seed)
         check_geometry(robot)
         self.robot, self.seed, self.options = robot, seed, ReplanOptions.chosen(options, changes)
-        q = _inside(f"{who}: q", robot, as_posture(who, robot, q))
+        q = _inside(f"{who}: q", robot, numbers(f"{who}: q", q, (robot.num_joints,), finite=True))
         shape = (robot.num_joints,)
         limits = motion_limits(who, robot, self.options.velocity, self.options.acceleration, shape)
         jerk = None if self.options.jerk is None else limit_of(who, "jerk", self.options.jerk, shape)
@@ -118,7 +118,7 @@ class Replanner:
         return self._course.at(times)
 
     def update(self, time: float, scene: Scene | None = None) -> Command:
-        """Tells the time [s], no earlier than before, and the world where it has changed. Returns the `Command` from then on."""
+        """Tells the time [s], no earlier than before, and the world if it has changed. Returns the `Command` from then on."""
         time = self._later(time)
         changed = self._rebound(scene)
         asked, self._asked, self._time = self._asked, False, time
@@ -157,7 +157,7 @@ class Replanner:
         return time
 
     def _rebound(self, scene: Scene | None) -> bool:
-        """Takes another world, and tells whether it is another one. Its trees are its own, not fitted from those before, so that the
+        """Takes a world, and tells whether it is another one. Its trees are its own, not fitted from those before, so that the
         same numbers are the same world in a replay."""
         check_kind("Replanner.update", "scene", scene, Scene, optional=True)
         if scene is None:
@@ -165,7 +165,7 @@ class Replanner:
         own = replaced(scene)
         remembered(own, "checked", lambda: remembered(scene, "checked", lambda: check_scene(scene)))
         world, before = World(self.robot, own), self._space.world
-        if jax.tree_util.tree_structure(world.around) != jax.tree_util.tree_structure(before.around):
+        if _form(world) != _form(before):
             raise ValueError(
                 f"Replanner.update: scene '{scene.name}' takes other programs than those that are compiled; "
                 "make the Replanner with a scene that has room for all that will come (Scene.with_room)"
@@ -179,40 +179,49 @@ class Replanner:
         """Decides what to do from a moment `now` on, and takes the course for it."""
         hit = first_hit(self._space, self._course, time) if changed else None
         if hit is not None:
-            stops = list(self._stops.before(self._course, hit, now))
-            late = not stops
-            self._told = hit.q, late, None
-            return self._replanned(time, now, stops or [self._stops.at_once(self._course, now)], late)
+            return self._replanned(time, now, self._stops.before(self._course, hit, now), hit.q)
         if asked:
-            self._told = None, False, None
             return self._replanned(time, now, [self._stops.at_once(self._course, now)])
         if self._goal is not None and not self._leads and (changed or self._open):
-            return self._replanned(time, now, [self._course])
+            return self._replanned(time, now, [self._course], self._told[0])
         return Event.KEPT
 
-    def _replanned(self, time: float, now: float, stops: list[Course], late: bool = False) -> Event:
-        """Takes the first course that leads to the goal from one of some stops, or else the last stop."""
-        hit, refusal = self._told[0], None
-        for stop in stops if self._goal is not None else ():
-            self._tries += 1
-            found = plan_motion(
-                self.robot, stop.stop, self._goal, scene=self._scene, seed=self.seed + self._tries, **self._planned
-            )
-            if not found:
-                refusal = Refusal.of(found)
-                continue
-            course = stop.then(found.trajectory, now)
-            if late or first_hit(self._space, course, time) is None:
-                self._take(course, time, leads=True)
-                self._told = hit, late, None
+    def _replanned(self, time: float, now: float, stops: Iterable[Course], hit: np.ndarray | None = None) -> Event:
+        """Takes the first course that leads to the goal from one of some stops, or else the last stop. Where there are no stops
+        before a `hit` (n,), it is too late for any but the one at once."""
+        stop = None
+        for stop in stops:
+            if self._leads_from(stop, time, now, hit, late=False):
                 return Event.REPLANNED
-        self._open = refusal is None or refusal.reason == Reason.NOT_CONVERGED
-        self._take(stops[-1], time, leads=False)
-        self._told = hit, late, refusal
+        if late := stop is None:
+            stop = self._stops.at_once(self._course, now)
+            if self._leads_from(stop, time, now, hit, late):
+                return Event.REPLANNED
+        self._course, self._leads = stop.since(time), False
         return Event.KEPT
 
-    def _take(self, course: Course, time: float, leads: bool) -> None:
-        self._course, self._leads = course.since(time), leads
+    def _leads_from(self, stop: Course, time: float, now: float, hit: np.ndarray | None, late: bool) -> bool:
+        """Plans a way to the goal from where a course stops, and takes it where it is proven; notes what is to be told."""
+        self._told, self._open = (hit, late, None), False
+        if self._goal is None:
+            return False
+        self._tries += 1
+        seed = self.seed + self._tries
+        found = plan_motion(self.robot, stop.stop, self._goal, scene=self._scene, seed=seed, **self._planned)
+        if not found:
+            self._told, self._open = (hit, late, Refusal.of(found)), found.reason == Reason.NOT_CONVERGED
+            return False
+        course = stop.then(found.trajectory, now)
+        self._leads = late or first_hit(self._space, course, time) is None
+        self._open = not self._leads
+        if self._leads:
+            self._course = course.since(time)
+        return bool(self._leads)
+
+
+def _form(world: World) -> Any:
+    """What programs are compiled for: how a world's arrays are laid out."""
+    return jax.tree_util.tree_structure(world.around)
 
 
 def _inside(who: str, robot: Robot, q: np.ndarray) -> np.ndarray:

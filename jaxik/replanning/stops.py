@@ -14,7 +14,7 @@ from jaxik.replanning.course import Course, Run
 from jaxik.replanning.proof import Hit
 
 MOMENTS = 257  # of a run, between which the last one is found that is before a place
-DELAYS = (0.5,)  # shares of the time for which the braking may wait at most, that are tried
+WAITS = 0.9, 0.6, 0.3  # shares of the time for which the braking might wait, of which the first that stops soon enough is taken
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,17 +29,18 @@ class Stops:
         begun = tuple(run for run in course.runs if run.begin < now)
         if begun and begun[-1].end > now:
             begun = (*begun[:-1], self._braked(begun[-1], now - begun[-1].begin))
-        return Course(course.standing, begun)
+        return course if begun == course.runs else Course(course.standing, begun)
 
     def before(self, course: Course, hit: Hit, now: float) -> Iterator[Course]:
-        """Courses that stop before a hit, the later ones first; none where even the one that stops at once does not."""
+        """Courses that stop before a hit, late and at once; none where even the one that stops at once does not."""
         run, halted = course.runs[hit.run], self.at_once(course, now)
         first = halted.runs[hit.run] if len(halted.runs) > hit.run else self._braked(run, 0.0)
         begun, free = max(now - run.begin, 0.0), self._free(run, hit)
-        for share in DELAYS if first.own_end < free else ():
+        for share in WAITS if first.own_end < free else ():
             later = self._braked(run, begun + share * (free - first.own_end))
             if later.own_end <= free:
                 yield Course(course.standing, (*course.runs[: hit.run], later))
+                break
         if len(halted.runs) <= hit.run or first.own_end <= free:
             yield halted
 

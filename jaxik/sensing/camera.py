@@ -78,7 +78,8 @@ class Camera(Constant):
         """
         image = numbers("depth", given, (self.height, self.width)).astype(np.float32)
         with np.errstate(invalid="ignore"):
-            if 2 * np.count_nonzero(image > BEYOND * self.far) > np.count_nonzero(image > 0.0):
+            told = image[(image > 0.0) & (image < np.inf)]  # infinity is what some cameras have for none
+            if 2 * np.count_nonzero(told > BEYOND * self.far) > len(told):
                 warnings.warn(
                     f"depth: most of the image is beyond {BEYOND * self.far:g} m, {BEYOND:g} times the camera's far; is it"
                     " in millimetres? give depth / 1000",

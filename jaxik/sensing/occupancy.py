@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from jaxik.checks.arrays import Array, numbers, rigid_frame
-from jaxik.checks.options import check_choices, check_finite, check_kind
+from jaxik.checks.options import check_choices, check_finite, check_kind, shown
 from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.fields.building import box_of_cubes, voxel_field
@@ -59,7 +59,7 @@ class Occupancy(Constant):
         """
         check_kind("with_depth", "camera", camera, Camera)
         off = float(numbers("with_depth: noise", noise, ()))
-        check_finite("with_depth", noise=off)
+        check_finite("with_depth", 0.0, noise=off)
         pose = np.asarray(rigid_frame("with_depth: world_T_camera", world_T_camera), np.float64)
         image = camera.depth(depth)
         free = seen_free(self.view(camera, pose), image, off).reshape(self.state.shape)
@@ -101,17 +101,23 @@ class Occupancy(Constant):
         off = float(self.noise) if state == OCCUPIED else 0.0
         return dataclasses.replace(found, node_error=found.node_error + off)
 
-    def in_scene(self, scene: Scene | None = None, *, unknown: Unknown = "solid", name: str = "seen") -> Scene:
+    def in_scene(
+        self, scene: Scene | None = None, *, unknown: Unknown = "solid", name: str = "seen", unseen: str = "unseen"
+    ) -> Scene:
         """The scene with the occupied voxels as a solid `name`, and, where `unknown` is "solid", those that no camera has seen
-        as a solid "unseen", which proofs, plans and `explain` know by that name; "free" leaves them out. Host.
+        as a solid `unseen`, which proofs, plans and `explain` know by that name; "free" leaves them out. Host.
 
-        Both are fields (`Scene.with_field`), bounds from below of distances to the voxels. Beyond the grid nothing is known,
-        and nothing stands. Raises `ValueError` for another word.
+        Both are fields (`Scene.with_field`), bounds from below of distances to the voxels, and take the place of those that
+        have these names: several grids in one scene have names of their own. Beyond the grid nothing is known, and nothing
+        stands. Raises `ValueError` for another word, and for one name of both.
         """
         check_choices("in_scene", unknown=(unknown, Unknown))
+        check_kind("in_scene", "scene", scene, Scene, optional=True)
+        if name == unseen:
+            raise ValueError(f"in_scene: '{shown(name)}' names the seen and the unseen; write two names")
         found = make_scene() if scene is None else scene
-        for solid, state in ((name, OCCUPIED), *([("unseen", UNSEEN)] if unknown == "solid" else [])):
-            field = self.field(state)
+        for solid, state in ((name, OCCUPIED), (unseen, UNSEEN)):
+            field = self.field(state) if state == OCCUPIED or unknown == "solid" else None
             if field is not None:
                 found = found.with_field(field, name=solid)
             elif solid in found.object_names:

@@ -32,13 +32,17 @@ class View(NamedTuple):
 
     def place(self, number: Any) -> tuple[Any, Any, Any]:
         """The middle of a voxel, by its number, in the camera's frame."""
-        in_slice = self.counts[1] * self.counts[2]
-        i = jnp.floor((number + 0.5) / in_slice)  # whole numbers below 2^24 are exact in float32
-        rest = number - i * in_slice
-        j = jnp.floor((rest + 0.5) / self.counts[2])
-        k = rest - j * self.counts[2]
+        i, rest = _divided(number, self.counts[1] * self.counts[2])
+        j, k = _divided(rest, self.counts[2])
         T, h = self.camera_T_grid, self.spacing
         return tuple(T[r, 3] + h * (T[r, 0] * i + T[r, 1] * j + T[r, 2] * k) for r in range(3))  # type: ignore[return-value]
+
+
+def _divided(number: Any, by: Any) -> tuple[Any, Any]:
+    """A whole number, below 2^24 and so exact in float32, by another: the whole quotient, and the rest."""
+    whole = jnp.floor((number + 0.5) / by)
+    whole = jnp.where(whole * by > number, whole - 1.0, whole)  # above 2^23 the half may have been rounded to one
+    return whole, number - whole * by
 
 
 @functools.lru_cache(maxsize=4)
@@ -64,8 +68,8 @@ def hit(view: View, depth: np.ndarray) -> np.ndarray:
 def _hit(pixel: Any, depth: Any, view: View, width: Any) -> Any:
     """The voxel that a pixel's point is in, -1 for none; the view has the camera's frame in the grid's."""
     fx, fy, cx, cy = (view.camera[i] for i in range(4))
-    v = jnp.floor((pixel + 0.5) / width)
-    local = (pixel - v * width - cx) / fx * depth, (v - cy) / fy * depth, depth
+    v, u = _divided(pixel, width)
+    local = (u - cx) / fx * depth, (v - cy) / fy * depth, depth
     T, inside, number = view.camera_T_grid, depth > 0.0, jnp.zeros_like(pixel)
     for r in range(3):
         at = jnp.floor((T[r, 0] * local[0] + T[r, 1] * local[1] + T[r, 2] * local[2] + T[r, 3]) / view.spacing + 0.5)

@@ -1,5 +1,6 @@
 """Clouds of points as solids: distances are those of a search through all of them, and everything takes such scenes."""
 
+import contextlib
 import functools
 import logging
 import pickle
@@ -71,7 +72,8 @@ CASES = {
 def test_it_is_the_distance_to_all_points(name, only_kernels):
     points = CASES[name]
     finite = points[np.isfinite(points).all(axis=1)]
-    scene = EMPTY.with_cloud(points, RADIUS, capacity=2048)
+    with pytest.warns(UserWarning, match="millimetres") if name == "all far away" else contextlib.nullcontext():
+        scene = EMPTY.with_cloud(points, RADIUS, capacity=2048)
     assert scene.clouds[0].count == len(finite)
     np.testing.assert_array_equal(np.unique(scene.clouds[0].points, axis=0), np.unique(finite, axis=0))
     far = np.abs(finite).max() > 100.0
@@ -156,6 +158,11 @@ def test_its_own_points_have_a_gradient():
     along = 1e-6 * slope[row] / np.linalg.norm(slope[row])
     ahead, behind = (seen(center + sign * along * (np.arange(50) == row)[:, None]) for sign in (1, -1))
     assert (ahead - behind) / 2e-6 == pytest.approx(np.linalg.norm(slope[row]), abs=1e-6)
+
+
+def test_its_radius_has_a_gradient():
+    near = lambda radius: clearance(PANDA, EMPTY.with_cloud(SPREAD, radius).moved("cloud", jaxik.pose([0.1, 0.0, 0.0])), Q[0])
+    assert jax.grad(near)(RADIUS) == -1.0
 
 
 def test_everything_that_asks_takes_it():
@@ -267,6 +274,12 @@ def test_points_of_pcd_are_read(tmp_path, encoding):
     points[7] = np.nan
     PointCloud.from_xyz_points(points).save(tmp_path / "a.pcd", encoding=Encoding(encoding))
     np.testing.assert_array_equal(jaxik.files.load_cloud(tmp_path / "a.pcd"), points)
+
+
+def test_millimetres_are_noticed():
+    with pytest.warns(UserWarning, match="over 100 m away; are they in millimetres"):
+        EMPTY.with_cloud(1e3 * SPREAD, RADIUS)
+    EMPTY.with_cloud(CASES["some far away"], RADIUS)
 
 
 def test_what_is_no_cloud_is_refused():

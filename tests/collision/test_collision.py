@@ -151,7 +151,7 @@ def test_lines_in_cylinders_against_all_directions():
     turn = np.array([_rotation(rng) for _ in range(count)])
     rows = lambda turn: Rot3(*(_vec(r) for r in turn))
     line = lambda ends, turn, *size: distance.skeleton_cylinder(tuple(map(_vec, ends)), rows(turn), _vec(np.zeros(3)), *size)
-    ours, slopes = HostKernel(jax.value_and_grad(line), 4).run(ends, turn, radius, half)
+    ours, slopes = HostKernel(jax.value_and_grad(line), 4)(ends, turn, radius, half)
     assert np.all(np.isfinite(slopes)) and (ours < 0.0).sum() > 60
     directions = rng.normal(size=(3000, 3))
     for i in np.flatnonzero(ours < 0.0)[:40]:

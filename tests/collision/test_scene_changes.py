@@ -208,6 +208,10 @@ def test_up_to_the_room_another_number_of_things_compiles_nothing(monkeypatch):
     [
         (lambda s: s.moved("cup", np.eye(4)), "no object 'cup'"),
         (lambda s: s.moved("thing 1", np.eye(3)), "moved: pose"),
+        (lambda s: s.moved("thing 1"), r"write moved\('thing 1', pose\)"),
+        (lambda s: s.moved("thing 1", jaxik.pose([550.0, 0.0, 0.0])), "would be 55[01] m away, over 100 m; lengths are metres"),
+        (lambda s: s.moved("thing 0", jaxik.pose([1e7, 0.0, 0.0])), "over 100 m; lengths are metres"),
+        (lambda s: s.with_cloud(np.ones((3, 3)), 0.1).moved("cloud", jaxik.pose([2e5, 0.0, 0.0])), "over 100000 m"),
         (lambda s: s.moved("thing 1", 2.0 * np.eye(4)), "moved: pose is no rigid frame"),
         (lambda s: s.moved("thing 1", np.full((4, 4), np.nan)), "moved: pose is no rigid frame"),
         (
@@ -219,6 +223,7 @@ def test_up_to_the_room_another_number_of_things_compiles_nothing(monkeypatch):
         (lambda s: s.with_room(box=3), "no kind 'box'"),
         (lambda s: s.with_room(boxes=1), "boxes 1; there are 4 already"),
         (lambda s: s.with_room(boxes=2.5), "allowed: a count"),
+        (lambda s: s.with_room(boxes=10**9), "at most 131,072"),
     ],
 )
 def test_what_is_no_change_is_refused(change, words):

@@ -133,7 +133,7 @@ def test_the_way_out_of_a_triangle():
         ways *= -0.99 * depth[:, None] / np.linalg.norm(ways, axis=2, keepdims=True)
         assert max(kernel.run(mine + np.tile(way, count), other)[0].max() for way in ways) < 0.0
         if count == 2:
-            slope = HostKernel(jax.grad(apart), 2).run(mine, other)[0].reshape(-1, count, 3).sum(axis=1)
+            slope = HostKernel(jax.grad(apart), 2)(mine, other)[0].reshape(-1, count, 3).sum(axis=1)
             out = np.tile(-depth[:, None] * slope, count)
             assert np.abs(kernel.run(mine + out, other)[0]).max() <= 1e-9
 

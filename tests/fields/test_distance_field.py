@@ -149,6 +149,13 @@ def test_fields_of_clouds_know_their_noise():
     assert (np.asarray(jax.vmap(field_bound, EVERY)(field, points)) <= distance + 1e-6).all()
 
 
+def test_a_scene_of_clouds_alone_has_a_field():
+    points = np.random.default_rng(7).uniform(LOW, HIGH, (300, 3))
+    scene = jaxik.make_scene().with_cloud(points, 0.02)
+    of_scene, of_cloud = scene_field(scene, LOW, HIGH, spacing=0.1), cloud_field(points, 0.02, LOW, HIGH, spacing=0.1)
+    np.testing.assert_allclose(of_scene.values, of_cloud.values, atol=1e-7)
+
+
 def test_fields_of_voxels_hold_the_cubes():
     solid = np.random.default_rng(5).random((6, 7, 5)) < 0.1
     field = voxel_field(solid, np.eye(4), spacing=0.1)
@@ -175,6 +182,23 @@ def test_files_hold_all_bits(field, tmp_path, ending):
     assert load_field(tmp_path / f"field.{ending}") == held
 
 
+@pytest.mark.parametrize("content", [b"no archive", b"", b"PK\x03\x04 cut off"])
+def test_what_is_no_file_of_a_field_is_refused(content, tmp_path):
+    (tmp_path / "a.npz").write_bytes(content)
+    with pytest.raises(ValueError, match=r"give a file that DistanceField\.save wrote") as raised:
+        load_field(tmp_path / "a.npz")
+    assert "\n" not in str(raised.value)
+
+
+def test_it_prints_its_numbers():
+    assert repr(PLAIN) == (
+        "DistanceField(values=float32[2, 2, 2], world_T_grid=float64[4, 4], spacing=0.1, node_error=0.0, truncation=inf)"
+    )
+
+
+PLAIN = DistanceField([[[0.0, 1.0], [0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]], np.eye(4), 0.1)
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -187,9 +211,13 @@ def test_files_hold_all_bits(field, tmp_path, ending):
         (lambda: scene_field(jaxik.make_scene(), LOW, HIGH, spacing=0.1), "nothing in it"),
         (lambda: cloud_field(np.full((2, 3), np.nan), 0.1, LOW, HIGH, spacing=0.1), "no point"),
         (lambda: voxel_field(np.zeros((3, 3, 3), bool), np.eye(4), spacing=0.1), "some true"),
+        (lambda: cloud_field(np.zeros((2, 3)), -0.1, LOW, HIGH, spacing=0.1), "radius is -0.1"),
         (lambda: load_field("nowhere.npz"), "nowhere.npz"),
+        (lambda: load_field(__file__), "allowed: .npz, .zarr"),
         (lambda: load_field("field.txt"), "allowed: .npz, .zarr"),
         (lambda: jaxik.make_scene().with_field(np.zeros(3)), "give a jaxik.fields.DistanceField"),
+        (lambda: jaxik.make_scene().with_field(PLAIN, name=""), "the name '' is not one line of text"),
+        (lambda: PLAIN.save("nowhere/field.npz"), "name a file in a folder that is there"),
     ],
 )
 def test_bad_input_is_one_line(make, words):

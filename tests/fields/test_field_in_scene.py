@@ -178,3 +178,20 @@ def test_several_fields_of_several_sizes():
     q = jnp.array([0.0, -1.0, 1.2, -0.5, 0.3, 0.1])
     alone = [jaxik.collision.object_clearances(ARM, jaxik.make_scene().with_field(f), q)[0] for f in fields]
     assert np.allclose(jaxik.collision.object_clearances(ARM, both, q), alone, atol=1e-6)
+
+
+def test_a_handle_takes_scenes_with_smaller_fields_and_refuses_larger_ones():
+    made = [mesh_field(MESH, BOX - 0.5, BOX + 0.5, spacing=spacing) for spacing in (0.05, 0.1)]
+    alone = jaxik.make_scene(boxes=[[0.0, -2.0, 0.0, 0.2, 0.2, 0.2]])
+    large, small = (alone.with_field(field, name="melon") for field in made)
+    q = _configurations(1, 7)[0]
+    near = jaxik.prepare(jaxik.clearance, ROBOTS[1], large)
+    for scene in (large, small, alone, large):
+        near.update(scene)
+        with jax.enable_x64(True):
+            assert np.isclose(near(q), jaxik.clearance(ROBOTS[1], scene, q), atol=1e-12)
+    near = jaxik.prepare(jaxik.clearance, ROBOTS[1], small, example=(q,))
+    before = near(q)
+    with pytest.raises(ValueError, match="fields of 9,261 nodes with room for 1,331"):
+        near.update(large)
+    assert near(q) == before and near.models[1] is small

@@ -95,7 +95,7 @@ def test_out_of_reach():
 def test_traced():
     """jit and vmap give the bits of the host's kernel; the derivative by the target is the inverse of Pinocchio's Jacobian."""
     robot, judge, poses, (q, valid, complete, _) = _solved(_arms()[0], _angles(6, 3))
-    host, margin, whole = general_kernel().run(poses, general_arm(Axes.of(robot)), double=True)
+    host, margin, whole = general_kernel()(poses, general_arm(Axes.of(robot)), double=True)
     assert all((a == b).all() for a, b in ((q, host), (valid, margin >= 0.0), (complete, whole)))
 
     target, twist = poses[0], np.array([0.3, -0.2, 0.5, 0.7, 0.1, -0.4])  # in the tip's frame

@@ -36,7 +36,7 @@ def _roots(coefficients):
     n = len(coefficients)
     begin = np.exp(2j * np.pi * np.arange(n) / n)
     starts = np.stack([begin.real, begin.imag], axis=1)[:, :, None]
-    x, _, status, _ = PATHS.run(starts, np.asarray(coefficients, float), double=True)
+    x, _, status, _ = PATHS(starts, np.asarray(coefficients, float), double=True)
     return x[:, 0, 0] + 1j * x[:, 1, 0], status
 
 
@@ -74,6 +74,6 @@ def test_to_infinity():
         return jnp.stack(step)[:, None], jnp.stack(tangent)[:, None], 0.0
 
     starts = np.array([[0.0, 0.0], [np.pi, 0.0]])[:, :, None]
-    x, _, status, _ = HostKernel(lambda x: follow_path(newton, x), 1).run(starts, double=True)
+    x, _, status, _ = HostKernel(lambda x: follow_path(newton, x), 1)(starts, double=True)
     assert sorted(status) == [ARRIVED, GONE]
     np.testing.assert_allclose(x[status == ARRIVED, :, 0], [[0.0, -np.log(2.0)]], atol=1e-5)

@@ -42,7 +42,7 @@ def test_banded_systems():
     diagonal[:, -2] += 1.0
     pattern[-2, :, 0] = 1.0
     operands = diagonal, slopes, weights, levers.reshape(2, count, 1, -1), loads, right
-    (found,) = HostKernel(banded_solve, 6).run(*operands, pattern, mean, held, double=True)
+    (found,) = HostKernel(banded_solve, 6)(*operands, pattern, mean, held, double=True)
     for b in range(2):
         matrix = np.diag(np.repeat(held, n)).reshape(count, n, count, n)
         for m in range(count):

@@ -15,7 +15,6 @@ from jaxik.replanning.proof import first_hit
 from jaxik.replanning.stops import Stops
 
 
-
 @pytest.fixture(scope="module")
 def bent(panda, table):
     """A motion around a wall, with rounded corners."""
@@ -30,7 +29,7 @@ def test_the_proof_ends_before_what_coal_sees(panda, table, judge, bent):
     times = np.linspace(2.0, course.end, 1000)
     q = course.at(times).q
     tips = np.array([np.asarray(jaxik.forward_kinematics(panda, x))[:3, 3] for x in q[::100]])
-    for k in range(40):
+    for _ in range(40):
         place = tips[rng.integers(len(tips))] + rng.normal(0.0, 0.15, 3)
         world = table.with_("ball", spheres=[[*place, rng.uniform(0.02, 0.1)]])
         space = CollisionChecker(panda, world, MARGIN)
@@ -89,7 +88,8 @@ def test_a_log_that_was_cut_off_replays_to_the_last_bit(make, table, tmp_path):
         arm.update(k / RATE, world)
     whole = load_log(path)
     assert [record.time for record in whole.records] == [k / RATE for k in range(45)]
-    assert whole.records[3].scene == table and whole.records[-1].scene == world and whole.records[-1].command.place.scene == world
+    assert whole.records[3].scene == table and whole.records[-1].scene == world
+    assert whole.records[-1].command.place.scene == world
     assert whole.records[4].command.event is Event.REPLANNED and "thing 4" in whole.records[4].command.why
     assert whole.seed == 3 and whole.options == arm.options and (whole.q == START).all()
     assert [k for k, record in enumerate(whole.records) if record.goal is not None] == [0, 30]

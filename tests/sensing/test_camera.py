@@ -54,6 +54,13 @@ def test_flying_pixels_go_and_flat_ones_stay():
     assert np.array_equal(without_flying_pixels(depth, jump=0.6), depth.astype(np.float32), equal_nan=True)
 
 
+@pytest.mark.parametrize("none", [0.0, -1.0, np.inf, np.nan])
+def test_pixels_beside_one_without_a_depth_stay(none):
+    depth = np.full((20, 30), 2.0)
+    depth[3, 3] = none
+    assert np.isnan(without_flying_pixels(depth)).sum() == 1
+
+
 def test_thinning_leaves_one_a_voxel_and_nothing_far_from_it():
     points = np.random.default_rng(0).normal(size=(5_000, 3))
     points[::50] = np.nan
@@ -61,6 +68,12 @@ def test_thinning_leaves_one_a_voxel_and_nothing_far_from_it():
     assert len(np.unique(np.floor(kept / 0.3), axis=0)) == len(kept) < 4_000
     away, _ = KDTree(kept).query(points[np.isfinite(points[:, 0])])
     assert away.max() < 0.3 * np.sqrt(3.0)
+
+
+def test_thinning_tells_voxels_apart_that_are_far_from_each_other():
+    """A box around them of 2^22 voxels along each axis: more than 64 bits number."""
+    voxels = np.array([[0, 0, 0], [2**20, 0, 0], [2**22 - 1] * 3])
+    assert len(thinned(0.5 * voxels + 0.1, 0.5)) == 3
 
 
 @pytest.mark.parametrize("name", ["p6r", "crops_v2"])
@@ -84,6 +97,7 @@ def test_millimetres_are_noticed():
     with pytest.warns(UserWarning, match="millimetres"):
         CAMERA.depth((1000.0 * np.nan_to_num(DEPTH, posinf=0.0)).astype(np.uint16))
     assert np.isfinite(CAMERA.depth(DEPTH)).any()
+    CAMERA.depth(np.full((120, 160), np.inf))  # an image of the sky
 
 
 TURNED = np.diag([1.0, 1.0, -1.0, 1.0])
@@ -102,6 +116,7 @@ TURNED = np.diag([1.0, 1.0, -1.0, 1.0])
         (lambda: load_camera("nowhere.json"), "nowhere.json"),
         (lambda: load_camera("camera.yaml"), "allowed: .toml, .json"),
         (lambda: thinned(np.zeros((3, 3)), 0.0), "above zero"),
+        (lambda: without_flying_pixels(DEPTH, jump=-0.1), "jump is -0.1; it is a finite number of at least 0"),
         (lambda: robot_mask(jaxik.load("p6r"), np.zeros(3), np.zeros((1, 3))), "shape|7"),
     ],
 )

@@ -12,6 +12,7 @@ import jaxik
 from jaxik.fields import cloud_field, field_bound, field_distance
 from jaxik.planning import plan_motion
 from jaxik.sensing import TSDF, Occupancy, thinned
+from jaxik.sensing.voxels import View
 
 LOW, HIGH, SPACING = np.array([-0.2, -0.7, -0.1]), np.array([1.2, 0.7, 1.0]), 0.02
 RNG = np.random.default_rng(0)
@@ -143,6 +144,34 @@ def test_unknown_space_is_solid_if_asked_and_told_by_name(grid):
 
 
 START = np.array([-0.6, -1.7, 1.6, -1.0, 0.0, 0.0])
+
+
+def test_what_was_unseen_before_goes_where_it_counts_as_free_now(grid):
+    scene = grid.in_scene()
+    free = grid.in_scene(scene, unknown="free")
+    q = jnp.asarray(START)
+    assert np.isfinite(jaxik.collision.object_clearances(jaxik.load("ur5e"), scene, q)).all()
+    assert np.isinf(jaxik.collision.object_clearances(jaxik.load("ur5e"), free, q)[scene.object_names.index("unseen")])
+
+
+def test_several_grids_have_names_of_their_own(grid):
+    left = Occupancy.unseen_box([2.0, 0.0, 0.0], [2.2, 0.2, 0.2], spacing=0.1)
+    both = left.in_scene(grid.in_scene(), name="seen left", unseen="unseen left")
+    assert both.counts["fields"] == 3
+    with pytest.raises(ValueError, match="'unseen' names the seen and the unseen; write two names"):
+        grid.in_scene(name="unseen")
+    with pytest.raises(ValueError, match="in_scene: scene is solid"):
+        grid.in_scene("solid")
+    with pytest.raises(ValueError, match=r"noise is -0\.1; it is a finite number of at least 0"):
+        grid.with_depth(CAMERA, np.ones((120, 160)), POSES[0], noise=-0.1)
+
+
+def test_each_voxel_of_a_large_grid_is_in_its_place():
+    shape = (250, 250, 250)
+    view = View(np.eye(4)[:3], 1.0, np.array(shape), np.ones(6)).single
+    last = 250 * 250 * np.arange(1, 251) - 1  # of each slice: halves are not exact in float32 above 2^23
+    place = np.array(jax.vmap(lambda n: jnp.stack(view.place(n)))(last.astype(np.float32)))
+    np.testing.assert_array_equal(place, np.stack(np.unravel_index(last, shape), axis=1))
 
 
 def test_a_scene_takes_the_next_picture_in_place(grid, images):
