@@ -127,7 +127,7 @@ def measured(seconds: float, minds: bool, count: int, motions: int, compiled: Ca
 
 
 def counter() -> Callable[[], int]:
-    """What says how many programs XLA has compiled, or read from disk, so far."""
+    """A count of the programs that XLA has compiled, or read from disk, so far."""
     times: list[float] = []
     jax.monitoring.register_event_duration_secs_listener(lambda name, s, **_: times.append(s) if name == COMPILED else None)
     return lambda: len(times)

@@ -1,4 +1,4 @@
-"""What is sensed, as the page shows it: slices of fields, clouds, unseen space; and the log of a replanner."""
+"""Slices of fields, clouds and unseen space, as the page shows them; and the log of a replanner."""
 
 import numpy as np
 import pytest
