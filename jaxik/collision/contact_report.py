@@ -150,7 +150,7 @@ class _Pairs:
 
 
 def _told(kernel: Callable[..., HostKernel], gap: Gap, volumes: Any, others: Any, other: Any, volume: Any) -> list[np.ndarray]:
-    """What a kernel tells of pairs of volumes and what is beside them, given by their rows."""
+    """Asks a kernel about pairs of volumes and what is beside them, given by their rows."""
     (mine, ours), (beside, theirs) = map(jax.tree_util.tree_flatten, (volumes, others))
     rows = [np.asarray(x, np.float64)[volume] for x in mine] + [np.asarray(x, np.float64)[other] for x in beside]
     return kernel(gap, ours, theirs)(np.stack(rows, axis=1))
