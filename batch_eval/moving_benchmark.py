@@ -196,7 +196,7 @@ def study(robot: jaxik.Robot, seeds: range, jerk: float | None) -> dict[str, Any
 
 
 def summary(rows: list[dict[str, Any]], naive: list[bool], reasons: dict[str, int]) -> dict[str, Any]:
-    """What all scenes together show; the first ones, which compile, count for everything but the time."""
+    """The figures of all scenes together; the first ones, which compile, count for everything but the time."""
     solved = [row for row in rows if row["solved"]]
     late = rows[min(20, len(rows) // 2) :]
     quantiles = lambda name: dict(

@@ -27,7 +27,7 @@ FINE = 8  # moments of a motion between two of its own, by which it is told when
 
 
 class Map(NamedTuple):
-    """What is free of a way: at places (p,), and times (t,) a `tick` [s] apart from its beginning on, whether the robot may
+    """The free part of a way: at places (p,), and times (t,) a `tick` [s] apart from its beginning on, whether the robot may
     stand there (p, t), and whether it may pass (d, p, t), when it is there up to so many ticks later, braking."""
 
     places: np.ndarray
