@@ -24,7 +24,7 @@ from jaxik.planning import Trajectory, plan_motion
 from jaxik.planning.braking import Brake, braking
 from jaxik.planning.limits import Limits
 
-SCENES, JERKY = 1000, 5  # and of so many scenes one is planned within a limit of jerk, too
+SCENES, JERKY = 1000, 10  # and of so many scenes one is planned within a limit of jerk, too
 JERK = 100.0  # [rad/s3]
 BALLS, BOXES, OFF = 3, 3, 0.005
 BRAKINGS = 10  # a motion

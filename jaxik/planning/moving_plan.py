@@ -52,8 +52,8 @@ class Stuck(NamedTuple):
 
 @dataclasses.dataclass
 class Traffic:
-    """The things that move around a robot from `start` [s] on, and how motions are timed and proven there; `reserve` is the share of its
-    `limits` that a motion leaves for braking, none where it is 0."""
+    """The things that move around a robot from `start` [s] on, and how motions are timed and proven there; `reserve` is the
+    share of its `limits` that a motion leaves for braking, none where it is 0."""
 
     robot: Robot
     moving: MovingScene

@@ -99,7 +99,7 @@ def edge_of(chart: Map, first: int, last: int, rows: tuple[int, int], motion: Tr
 
 
 def open_times(chart: Map, edge: Edge) -> np.ndarray:
-    """At which ticks (t,) an edge may depart."""
+    """The ticks (t,) at which an edge may depart."""
     count = chart.passes.shape[2]
     departs = np.arange(max(0, count - int(edge.ticks.max()) - 1))
     at = edge.ticks[:, None] + departs
