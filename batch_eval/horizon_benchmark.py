@@ -74,19 +74,28 @@ def controller(seconds: float, minds: bool) -> jaxik.motions.PredictiveControlle
 def moved(
     control: jaxik.motions.PredictiveController, count: int, seed: int, compiled: Callable[[], int]
 ) -> dict[str, np.ndarray]:
-    """One motion: the seconds of each step and of each new cloud, how near to the points the arm was at each sample [m], the
-    velocities, the tip's errors [m], and how many programs were compiled."""
+    """One motion: the seconds of each step, by the clock and of all processors, and of each new cloud; how near to the points
+    the arm was at each sample [m], the velocities, the tip's errors [m], and how many programs were compiled."""
     path, state, rows, trees, before = case.path(control.robot), control.init(case.START), [], [], compiled()
     for scene, tree, took in frames(count, seed):
-        begin = time.perf_counter()
+        begin, busy = time.perf_counter(), time.process_time()
         state, now = jax.block_until_ready(control.step(state, path, case.DURATION, given=scene))
-        rows.append((time.perf_counter() - begin, took, now.q, now.velocity, now.error))
+        times = time.perf_counter() - begin, time.process_time() - busy
+        rows.append((*times, took, now.q, now.velocity, now.error))
         trees.append(tree)
     anew = compiled() - before
-    step, cloud, q, velocity, error = map(np.array, zip(*rows, strict=True))
+    step, busy, cloud, q, velocity, error = map(np.array, zip(*rows, strict=True))
     centres, radii = balls(control.robot, q)
     gap = [(tree.query(each)[0] - radii).min() - RADIUS for tree, each in zip(trees, centres, strict=True)]
-    found = {"step": step, "cloud": cloud, "gap": gap, "velocity": velocity, "error": np.abs(error), "compiled": [anew]}
+    found = {
+        "step": step,
+        "busy": busy,
+        "cloud": cloud,
+        "gap": gap,
+        "velocity": velocity,
+        "error": np.abs(error),
+        "compiled": [anew],
+    }
     return {name: np.asarray(column) for name, column in found.items()}
 
 
@@ -107,6 +116,7 @@ def measured(seconds: float, minds: bool, count: int, motions: int, compiled: Ca
         "p50_ms": float(p50),
         "p99_ms": float(p99),
         "most_ms": float(1e3 * every["step"].max()),
+        "processors_p99_ms": float(np.percentile(1e3 * every["busy"], 99)),
         "cloud_p50_ms": float(1e3 * np.nanmedian(every["cloud"])),
         "compiled": int(every["compiled"].sum()),
         "least_gap_m": float(every["gap"].min()),
@@ -117,7 +127,7 @@ def measured(seconds: float, minds: bool, count: int, motions: int, compiled: Ca
 
 
 def counter() -> Callable[[], int]:
-    """What says how many programs XLA has compiled, or read from disk, so far."""
+    """A count of the programs that XLA has compiled, or read from disk, so far."""
     times: list[float] = []
     jax.monitoring.register_event_duration_secs_listener(lambda name, s, **_: times.append(s) if name == COMPILED else None)
     return lambda: len(times)

@@ -38,7 +38,7 @@ def written(path):
 
 
 def severe(driver):
-    """What the browser complains about."""
+    """The errors that the browser has told."""
     return [e["message"] for e in driver.get_log("browser") if e["level"] == "SEVERE" and "favicon" not in e["message"]]
 
 

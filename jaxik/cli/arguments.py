@@ -93,7 +93,7 @@ class ShapedRobotArguments(RobotArguments):
 
 @dataclasses.dataclass(kw_only=True)
 class AroundArguments:
-    """What is around a robot."""
+    """The surroundings of a robot."""
 
     scene: str | None = None
     """A shipped scene or a scene file: obstacles to keep clear of; without one, the robot keeps clear of itself."""

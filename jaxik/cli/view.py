@@ -11,10 +11,9 @@ import tyro
 import jaxik
 from jaxik.cli.arguments import AroundArguments, ShapedRobotArguments
 from jaxik.fields import load_field
-from jaxik.files import link_meshes
+from jaxik.files import link_meshes, load_octomap
 from jaxik.harvesting import plan_harvest
 from jaxik.replanning import load_log
-from jaxik.sensing import load_octomap
 
 LOGS = (".jsonl", ".log")
 

@@ -138,8 +138,10 @@ class Scene(Constant):
 
         Clearances to it are bounds from below (`field_gap`), and so certificates of motions hold of the true distance. Which of
         several such bounds a clearance is may depend on what else is near, within an eighth of a cell and a sixteenth of the
-        distance. What the field tells of ends with its grid: beyond it nothing of it stands. The robot's volumes are measured,
-        not its convex parts. Raises `ValueError` for what is no field, and for a name of another object.
+        distance. The gradient of a line or a triangle is that at the place where its least was found, which may be beside the
+        true one: differences of the clearance may be off from it by a tenth. What the field tells of ends with its grid: beyond
+        it nothing of it stands. The robot's volumes are measured, not its convex parts. Raises `ValueError` for what is no
+        field, and for a name of another object.
         """
         new = getattr(field, "as_solid", None)
         if new is None:

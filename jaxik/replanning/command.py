@@ -1,4 +1,4 @@
-"""What a replanner answers: a course that is proven, and why it is that one."""
+"""The answer of a replanner: a course that is proven, and why it is that one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from jaxik.replanning.course import Course
 
 
 class Event(enum.StrEnum):
-    """What an update did."""
+    """The kinds of what an update does."""
 
     KEPT = enum.auto()  # the motion goes on
     REPLANNED = enum.auto()  # another way to the goal
@@ -88,7 +88,7 @@ class Command(Pytree):
 
     @functools.cached_property
     def why(self) -> str:
-        """What the update did, and what stands in the way, in words."""
+        """The words that say what the update did, and what stands in the way."""
         words = [WORDS[self.event]]
         if self.event in (Event.KEPT, Event.ARRIVED):
             return words[0]

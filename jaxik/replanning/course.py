@@ -50,7 +50,7 @@ class Run(Pytree):
         return float(self.brake.rates(np.asarray(since - self.brake.start))[0])
 
     def at(self, times: np.ndarray) -> Motion:
-        """What the joints do at times (i,) by the clock [s], while it runs."""
+        """The state of the joints at times (i,) by the clock [s], while it runs."""
         since = times - self.begin
         if self.brake is None:
             return self.trajectory.at_times(since)
@@ -79,7 +79,7 @@ class Course(Pytree):
         return self.runs[-1].stop if self.runs else np.asarray(self.standing)
 
     def at(self, times: Any) -> Motion:
-        """What the joints do at times () or (i,) by the clock [s]: q, velocity and acceleration. Host."""
+        """The state of the joints at times () or (i,) by the clock [s]: q, velocity and acceleration. Host."""
         given = numbers("Course.at: times", times)
         times = np.atleast_1d(given)
         which = np.searchsorted([run.begin for run in self.runs], times, side="right") - 1

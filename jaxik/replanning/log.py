@@ -44,7 +44,8 @@ class Record:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Log:
-    """What a replanner was made of: `robot`, `q` (n,), `scene`, `options` and `seed`; and the `records` of its updates."""
+    """The log of a replanner: what it was made of, `robot`, `q` (n,), `scene`, `options` and `seed`; and the `records` of its
+    updates."""
 
     robot: Robot
     q: np.ndarray

@@ -58,7 +58,7 @@ def decoded(record: Any) -> Any:
 
 
 def difference(before: Any, after: Any) -> Any:
-    """What of a record is not as it was before, by the names of fields; all of it where the classes differ."""
+    """The part of a record that is not as it was before, by the names of fields; all of it where the classes differ."""
     if not (isinstance(before, dict) and isinstance(after, dict) and before.keys() == after.keys()) or ARRAY in after:
         return after
     return {name: difference(before[name], value) for name, value in after.items() if value != before[name]}

@@ -7,7 +7,7 @@ from jaxik.planning.plan_options import LimitOptions
 
 
 class ReplanOptions(LimitOptions, who="Replanner"):
-    """What a `Replanner` keeps to, and how it plans."""
+    """The limits that a `Replanner` keeps, and how it plans."""
 
     margin: float = number(default=0.0, unit="m", words="least clearance on the way")
     reserve: float = number(

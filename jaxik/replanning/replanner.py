@@ -220,7 +220,7 @@ class Replanner:
 
 
 def _form(world: World) -> Any:
-    """What programs are compiled for: how a world's arrays are laid out."""
+    """The layout of a world's arrays, for which programs are compiled."""
     return jax.tree_util.tree_structure(world.around)
 
 

@@ -7,14 +7,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from jaxik.planning.braking import braking
+from jaxik.planning.braking import Brake, braking
 from jaxik.planning.limits import AnyLimits
 from jaxik.pytree import replaced
 from jaxik.replanning.course import Course, Run
 from jaxik.replanning.proof import Hit
 
 MOMENTS = 257  # of a run, between which the last one is found that is before a place
-WAITS = 0.9, 0.6, 0.3  # shares of the time for which the braking might wait, of which the first that stops soon enough is taken
+WAITS = np.array([0.9, 0.6, 0.3])  # shares of the time for which the braking might wait; the first that is not too long counts
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,11 +36,11 @@ class Stops:
         run, halted = course.runs[hit.run], self.at_once(course, now)
         first = halted.runs[hit.run] if len(halted.runs) > hit.run else self._braked(run, 0.0)
         begun, free = max(now - run.begin, 0.0), self._free(run, hit)
-        for share in WAITS if first.own_end < free else ():
-            later = self._braked(run, begun + share * (free - first.own_end))
-            if later.own_end <= free:
+        if first.own_end < free:
+            brakes = braking(run.trajectory, begun + WAITS * (free - first.own_end), self.limits, self.reserve)
+            for k in np.flatnonzero(brakes.end <= free)[:1].tolist():
+                later = replaced(run, brake=Brake(*(np.broadcast_to(x, WAITS.shape)[k] for x in brakes)))
                 yield Course(course.standing, (*course.runs[: hit.run], later))
-                break
         if len(halted.runs) <= hit.run or first.own_end <= free:
             yield halted
 

@@ -1,10 +1,8 @@
 """Depth cameras: images to points, what they show to be free, and what no camera has seen."""
 
 from jaxik.sensing.camera import Camera, load_camera
-from jaxik.sensing.depth_files import load_depth
 from jaxik.sensing.filters import robot_mask, thinned, without_flying_pixels
 from jaxik.sensing.occupancy import Occupancy
-from jaxik.sensing.octomap import load_octomap
 from jaxik.sensing.tsdf import TSDF
 
 __all__ = [
@@ -12,8 +10,6 @@ __all__ = [
     "Camera",
     "Occupancy",
     "load_camera",
-    "load_depth",
-    "load_octomap",
     "robot_mask",
     "thinned",
     "without_flying_pixels",

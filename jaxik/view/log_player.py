@@ -48,7 +48,7 @@ class LogPlayer(Playback):
             self.said.content = marked(record.command.event not in BAD, str(record.command.event), f": {self._words(record)}")
 
     def _words(self, record: Record) -> str:
-        """What the update did, and when the world changed last."""
+        """Words for what the update did, and for when the world changed last."""
         news = [k for k in self.news if k <= self.number and self.log.records[k].changed]
         since = f" The world changed {record.time - self.times[news[-1]]:.2f} s before." if news else ""
         return escape(f"{record.command.why}.{since}")

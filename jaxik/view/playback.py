@@ -1,4 +1,4 @@
-"""What is played on the page: a slider of the time, a button that plays and pauses, and how fast."""
+"""Controls of what is played on the page: a slider of the time, a button that plays and pauses, and how fast."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tests of replanners share."""
+"""Postures, limits and rates that the tests of replanners share."""
 
 import numpy as np
 

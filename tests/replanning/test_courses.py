@@ -7,11 +7,13 @@ import pytest
 from panda_at_table import GOAL, MARGIN, RATE, START
 
 import jaxik
+from jaxik import fields
 from jaxik.planning import plan_motion
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.limits import JerkLimits
 from jaxik.replanning import Course, Event, Run, load_log
 from jaxik.replanning.proof import first_hit
+from jaxik.replanning.records import decoded, difference, encoded, merged
 from jaxik.replanning.stops import Stops
 
 
@@ -101,6 +103,23 @@ def test_a_log_that_was_cut_off_replays_to_the_last_bit(make, table, tmp_path):
     np.testing.assert_array_equal(again[40].at(1.5).q, arm.at(1.5).q)
     with pytest.raises(ValueError, match=r"File exists; give the path of a new file"):
         make(log=path)
+
+
+def test_scenes_of_all_kinds_are_written_to_the_last_bit(table):
+    rng = np.random.default_rng(0)
+    field = fields.DistanceField(np.ones((3, 4, 5)), np.eye(4), 0.1)
+    scene = table.with_(
+        "all", capsules=[[*rng.normal(size=6), 0.1]], points=rng.normal(size=(3, 3)), boxes=[rng.uniform(size=6)]
+    )
+    scene = scene.with_cloud(rng.normal(size=(50, 3)).astype(np.float32), 0.01).with_field(field)
+    now = scene.moved("all", jaxik.pose([0.1, 0.2, 0.3]))
+    before, after = (json.loads(json.dumps(encoded(each))) for each in (scene, now))
+    change = difference(before, after)
+    assert decoded(before) == scene and decoded(merged(before, change)) == now != scene
+    assert len(json.dumps(change)) < 0.3 * len(json.dumps(after)) and difference(after, after) == {}
+    assert decoded(merged(before, encoded(None))) is None
+    with pytest.raises(TypeError, match=r"set has no form in a log"):
+        encoded({1})
 
 
 def test_what_is_no_log_is_refused(tmp_path):

@@ -6,7 +6,8 @@ import pyoctomap
 import pytest
 from PIL import Image
 
-from jaxik.sensing import Camera, load_depth, load_octomap
+from jaxik.files import load_depth, load_octomap
+from jaxik.sensing import Camera
 
 RNG = np.random.default_rng(1)
 DEPTH = RNG.integers(0, 4000, (12, 16)).astype(np.uint16)  # [mm]; 0 where nothing was seen
