@@ -24,7 +24,7 @@ from jaxik.planning import Trajectory, plan_motion
 from jaxik.planning.braking import Brake, braking
 from jaxik.planning.limits import Limits
 
-SCENES, JERKY = 1000, 5  # and of so many scenes one is planned within a limit of jerk, too
+SCENES, JERKY = 1000, 10  # and of so many scenes one is planned within a limit of jerk, too
 JERK = 100.0  # [rad/s3]
 BALLS, BOXES, OFF = 3, 3, 0.005
 BRAKINGS = 10  # a motion
@@ -196,7 +196,7 @@ def study(robot: jaxik.Robot, seeds: range, jerk: float | None) -> dict[str, Any
 
 
 def summary(rows: list[dict[str, Any]], naive: list[bool], reasons: dict[str, int]) -> dict[str, Any]:
-    """What all scenes together show; the first ones, which compile, count for everything but the time."""
+    """The figures of all scenes together; the first ones, which compile, count for everything but the time."""
     solved = [row for row in rows if row["solved"]]
     late = rows[min(20, len(rows) // 2) :]
     quantiles = lambda name: dict(

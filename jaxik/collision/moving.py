@@ -201,7 +201,7 @@ class MovingScene(Constant):
 
     @functools.cached_property
     def standing(self) -> Scene:
-        """What stands: the scene without what moves."""
+        """The scene without what moves."""
         return self.scene.without(list(self.tracks)) if self.tracks else self.scene
 
     @functools.cached_property

@@ -44,7 +44,7 @@ Planned = Callable[[Scene, np.ndarray, np.ndarray], PlanResult]
 
 
 class Stuck(NamedTuple):
-    """What was in the way of the timing that came furthest: an object's number, and when on the clock [s]."""
+    """The obstacle of the timing that came furthest: an object's number, and when on the clock [s]."""
 
     object: int
     time: float
@@ -52,8 +52,8 @@ class Stuck(NamedTuple):
 
 @dataclasses.dataclass
 class Traffic:
-    """What moves around a robot from `start` [s] on, and how motions are timed and proven there; `reserve` is the share of its
-    `limits` that a motion leaves for braking, none where it is 0."""
+    """The things that move around a robot from `start` [s] on, and how motions are timed and proven there; `reserve` is the
+    share of its `limits` that a motion leaves for braking, none where it is 0."""
 
     robot: Robot
     moving: MovingScene
@@ -147,7 +147,7 @@ class Traffic:
         return None
 
     def words(self) -> str:
-        """What was in the way of the timing that came furthest."""
+        """Words for the obstacle of the timing that came furthest."""
         if self.stuck is None:
             return "no timing was found among what moves"
         name = self.moving.names[self.stuck.object] if self.stuck.object >= 0 else "something"

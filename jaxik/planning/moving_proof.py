@@ -179,7 +179,7 @@ def _chords(
 
 
 def _asked(who: str, robot: Any, moving: Any, trajectory: Any, start_time: Any) -> tuple[Course, MovingScene]:
-    """What all proofs are asked for, in NumPy."""
+    """The arguments of all proofs, checked, in NumPy."""
     check_kind(who, "robot", robot, Robot)
     check_kind(who, "trajectory", trajectory, Trajectory)
     check_geometry(robot)

@@ -27,7 +27,7 @@ FINE = 8  # moments of a motion between two of its own, by which it is told when
 
 
 class Map(NamedTuple):
-    """What is free of a way: at places (p,), and times (t,) a `tick` [s] apart from its beginning on, whether the robot may
+    """The free part of a way: at places (p,), and times (t,) a `tick` [s] apart from its beginning on, whether the robot may
     stand there (p, t), and whether it may pass (d, p, t), when it is there up to so many ticks later, braking."""
 
     places: np.ndarray
@@ -99,7 +99,7 @@ def edge_of(chart: Map, first: int, last: int, rows: tuple[int, int], motion: Tr
 
 
 def open_times(chart: Map, edge: Edge) -> np.ndarray:
-    """At which ticks (t,) an edge may depart."""
+    """The ticks (t,) at which an edge may depart."""
     count = chart.passes.shape[2]
     departs = np.arange(max(0, count - int(edge.ticks.max()) - 1))
     at = edge.ticks[:, None] + departs
