@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxik.checks.options import optional
-from jaxik.fields.distance_field import MOST
 from jaxik.files.documents import opened
 from jaxik.reasons import LoadError
-from jaxik.sensing.occupancy import FREE, OCCUPIED, Occupancy
 from jaxik.spatial.rotations import frame
+
+if TYPE_CHECKING:  # files are read by all, and most of them hold no voxels
+    from jaxik.sensing.occupancy import Occupancy
 
 BEGINS = b"# Octomap OcTree binary file"
 BYTES = 2**28
@@ -44,6 +45,9 @@ def load_octomap(path: str | Path) -> Occupancy:
 
 def _grid(path: Path, edge: float, leaves: np.ndarray) -> Occupancy:
     """The grid of leaves (k, 5): their middles and edges [m], and whether they are occupied."""
+    from jaxik.fields.distance_field import MOST
+    from jaxik.sensing.occupancy import FREE, OCCUPIED, Occupancy
+
     across = np.round(leaves[:, 3] / edge).astype(int)
     first = np.round((leaves[:, :3] - leaves[:, 3:4] / 2.0) / edge).astype(int)
     low, high = first.min(axis=0), (first + across[:, None]).max(axis=0)
