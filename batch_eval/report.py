@@ -149,7 +149,6 @@ def _of_arms() -> list[tuple[str, str, str]]:
     return [
         _ours(work, "forward kinematics, Panda, float32", "forward kinematics of a Panda", "PyRoki", loop),
         _ours(forces, "inverse dynamics, Panda, float32", "inverse dynamics of a Panda", loop, "frax, vmap"),
-        _ours(work, "closed form, P6R, all 8 branches, float32", "closed form, all 8 branches", "EAIK, 2 threads"),
         _ours(collision, *clear, "coal and Pinocchio, Python loop", "PyRoki, vmap, cylinders as capsules"),
     ]
 
@@ -175,17 +174,14 @@ def _of_postures() -> list[tuple[str, str, str]]:
 
 def _of_motions() -> list[tuple[str, str, str]]:
     planners, peers = _result("planners_benchmark.json"), _result("sweep_benchmark.json")["eaik"]
-    timing = _result("planning_benchmark.json")["timing"]
     ahead = _result("predictive_benchmark.json")["real_time"][1]
     planned = f"{1e-3 * planners['jaxik_us']['call']['p50']:.1f} ms, {planners['solved']} of {planners['problems']} solved"
     vamp = f"VAMP, an untimed way, not proven: {duration(planners['vamp_both_us']['p50'])}"
     target, eaik = duration(1e6 / peers["jaxik_refine_5"]["per_second"]), duration(peers["eaik_with_limits_us"])
     sample = f"a control sample, nine joints, {ahead['horizon_s']:g} s ahead"
     casadi = f"CasADi's generated C: {ahead['casadi_p50_ms']:.1f} ms"
-    toppra = f"TOPP-RA: {duration(timing['toppra_us_each'])}"
     return [
         ("the same, a motion that is proven free and timed", planned, vamp),
-        ("the fastest timing of a path of seven joints", duration(timing["us_each"]), toppra),
         ("a target of a reach map over a slide, with proof", target, f"EAIK in a loop, no proof: {eaik}"),
         (sample, f"{ahead['p50_ms']:.1f} ms", casadi),
     ]

@@ -34,7 +34,6 @@ CALLS = {  # name -> (function of arrays, arrays)
     "analytic.closed_form": (lambda pose: analytic.closed_form(UR, pose), POSE),
     "collision.clearance": (lambda q: collision.clearance(ARM, SCENE, q), Q),
     "collision.clearance_at": (lambda q: collision.clearance_at(ARM, MOVING, q, 0.1 * q[0]), Q),
-    "collision.MovingScene.at": (lambda t: MOVING.at(t).spheres.center, 0.3),
     "collision.collides": (lambda q: collision.collides(ARM, SCENE, q), Q),
     "collision.robot_spheres": (lambda q: collision.robot_spheres(ARM, q), Q),
     "collision.motion_clearance": (lambda q: collision.motion_clearance(ARM, SCENE, q, 1.1 * q), Q),
@@ -78,6 +77,7 @@ CALLS = {  # name -> (function of arrays, arrays)
     "spatial.rotation_log": (spatial.rotation_log, POSE[:3, :3]),
 }
 METHODS = {
+    "collision.MovingScene.at": (lambda t: MOVING.at(t).spheres.center, 0.3),
     "accelerations by motions.resolve": (lambda q: motions.resolve(ARM, q, MOTION, qdot=q, cost=HOLD), Q),
     "motions.Path.at": (lambda t: motions.Line(POSE, POSE.at[0, 3].add(0.1)).at(t, 1.0), jnp.linspace(0, 1, 9)),
 }
