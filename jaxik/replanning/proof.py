@@ -68,10 +68,18 @@ def first_hit(space: CollisionChecker, course: Course, time: float) -> Hit | Non
 
 def _rows(space: CollisionChecker, number: int, run: Run, time: float) -> list[tuple[int, float, float, float]]:
     """The chords of a run that are not behind it: its number, the places at which each begins and ends, and its bend."""
-    places, bends = Chords.of(run.trajectory.path, space.weights)
+    places, bends = _chords(run, space.weights)
     first, last = _span(run, time)
     some = np.flatnonzero((places[1:] > first) & (places[:-1] < last))
     return [(number, places[i], places[i + 1], bends[i]) for i in some.tolist()]
+
+
+def _chords(run: Run, weights: np.ndarray) -> Chords:
+    """The chords of a run, which keeps them: each update proves what is left of it."""
+    known: Chords | None = vars(run).get("_chords")
+    if known is None:
+        vars(run)["_chords"] = known = Chords.of(run.trajectory.path, weights)
+    return known
 
 
 def _span(run: Run, time: float) -> tuple[float, float]:
