@@ -62,7 +62,7 @@ def play(out, folder):
             assert change > CHANGE, f"{name}: nothing changed"
             if name == "appeared":
                 assert "ball" in page.scene.object_names
-                read(driver, "on its way before", "and ball are apart by")
+                read(driver, "on the former way", "and ball are apart by")
         page.log.time.value = 0.0
         driver.find_element(By.XPATH, "//*[text()='Play']").click()
         assert until(page.log.playing.is_set, 10.0), "it is not played"

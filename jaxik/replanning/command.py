@@ -94,7 +94,7 @@ class Command(Pytree):
             return words[0]
         if self.hit is not None and self.place is not None:
             near = explain(self.place.robot, self.place.scene, self.hit, count=1).contacts
-            words += [f"on its way before {near[0]}"] if near else []
+            words += [f"on the former way {near[0]}"] if near else []
         words += ["which is too near to stop before it"] * self.late
         if self.refusal is not None and self.place is not None:
             words.append(self.refusal.why(self.place))
