@@ -237,9 +237,9 @@ def _once(solid: Any, asked: tuple[Any, ...]) -> tuple[Obstacles, np.ndarray]:
     """`_obstacles` of a known kind of a scene, which keeps the last ones: scenes share the kinds in which nothing changed."""
     _, _, owner, masks, by_object, ignored, form = asked
     key = owner.tobytes(), masks.tobytes(), by_object, ignored, form
-    before = vars(solid).get("_groups")
+    before = getattr(solid, "_groups", None)
     if before is None or before[0] != key:
-        vars(solid)["_groups"] = before = key, _obstacles(*asked)
+        object.__setattr__(solid, "_groups", before := (key, _obstacles(*asked)))
     return before[1]
 
 

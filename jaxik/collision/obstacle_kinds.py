@@ -43,6 +43,8 @@ def places_after(place: Any, pose: Any) -> Any:
 class Kind(Constant):
     """Obstacles of one kind: where they are, as points (k, 3) or frames (k, 4, 4), and their sizes, `radius` and `half` [m]."""
 
+    __slots__ = ("_groups",)  # `bvh` keeps there how they were grouped last; copies and pickles do not take it over
+
     @property
     def places(self) -> dict[str, Any]:
         names = [field.name for field in dataclasses.fields(self)]
