@@ -241,7 +241,7 @@ def test_a_large_batch_is_what_its_parts_are(arm, exact):
             np.testing.assert_array_equal(found, np.concatenate(each))
     if not exact:  # a list, which the checks of the tests do not let through to `clearance`
         around, ones = clearances.grouped(scene, robot), [1] * robot.num_joints
-        assert clearances._clearance(robot, around, ones) == jaxik.clearance(robot, scene, jnp.ones(robot.num_joints))
+        assert clearances._clearance(robot, around, ones, None) == jaxik.clearance(robot, scene, jnp.ones(robot.num_joints))
 
 
 def test_margins_beyond_what_is_shown_are_decided_by_triangles(arm):
