@@ -1,4 +1,4 @@
-"""A horizon that minds a live cloud of points: `python batch_eval/horizon_benchmark.py`, a minute.
+"""A horizon that minds a live cloud of points: `python batch_eval/horizon_benchmark.py`, three minutes.
 
 Needs `pip install -e ".[test]"`. Nine joints follow a line with the tip (`setups/self_collision.py`), 100 samples a second, and
 somebody's forearm of 100,000 points reaches in and is drawn back: 30 times a second it is another cloud. The horizon's cost

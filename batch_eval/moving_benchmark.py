@@ -27,7 +27,7 @@ from jaxik.planning.limits import Limits
 SCENES, JERKY = 1000, 10  # and of so many scenes one is planned within a limit of jerk, too
 JERK = 100.0  # [rad/s3]
 BALLS, BOXES, OFF = 3, 3, 0.005
-BRAKINGS = 10  # a motion
+BRAKINGS = 11  # a motion
 TICK = 1e-3  # [s] between samples
 TABLE = [0.65, 0.0, -0.06, 0.9, 1.4, 0.1]
 FAR = 0.096  # [m] from which on distances of segments to boxes are bounds from below: more than a capsule's radius and GAP
@@ -158,6 +158,7 @@ def stopped(
     for k, begin in enumerate(begins):
         law = Brake(*(np.broadcast_to(x, begins.shape)[k] for x in laws))
         since = np.append(np.arange(0.0, float(law.lasts), TICK), float(law.lasts))
+        since = since[law.rates(since)[0] <= float(motion.duration)]  # then it stands in its goal, whatever is left of the law
         rows.append(np.asarray(law.motion(motion, since).q))
         clocks.append(begin + since)
         longest = max(longest, float(law.lasts))
