@@ -10,10 +10,8 @@ import tyro
 
 import jaxik
 from jaxik.cli.arguments import AroundArguments, ShapedRobotArguments
-from jaxik.fields import load_field
 from jaxik.files import link_meshes, load_octomap
 from jaxik.harvesting import plan_harvest
-from jaxik.replanning import load_log
 
 LOGS = (".jsonl", ".log")
 
@@ -53,7 +51,7 @@ class ViewArguments(AroundArguments, ShapedRobotArguments):
             raise ValueError("--teleop: steers one tip; name --tip once")
         own = {name: getattr(self, name) for name in ("host", "port")}
         if Path(self.robot).suffix in LOGS:
-            log = load_log(self.robot)
+            log = jaxik.replanning.load_log(self.robot)
             page = Page(log.robot, scene=log.records[0].scene if log.records else log.scene, log=log, **own)
         else:
             page = self._page(own)
@@ -82,5 +80,5 @@ class ViewArguments(AroundArguments, ShapedRobotArguments):
         """The scene with the cloud, the field and the octree; None where nothing is given."""
         scene = super().around()
         if self.field is not None:
-            scene = (scene or jaxik.make_scene()).with_field(load_field(self.field), name="field")
+            scene = (scene or jaxik.make_scene()).with_field(jaxik.fields.load_field(self.field), name="field")
         return scene if self.octomap is None else load_octomap(self.octomap).in_scene(scene)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.checks.options import optional, shown
-from jaxik.files.documents import opened
+from jaxik.checks.options import shown
+from jaxik.files.documents import content_of
 from jaxik.reasons import LoadError
 
 MOST = 2**28  # bytes: some millions of points
@@ -26,12 +26,7 @@ def load_cloud(path: str | Path) -> np.ndarray:
     Raises `LoadError` (a `ValueError`) with one line: the file, what is wrong, what is allowed, the mend.
     """
     path = Path(path)
-    if (kind := path.suffix.lower()) not in READERS:
-        raise LoadError(path, "file", f"ending '{kind}'", f"allowed: {', '.join(READERS)}")
-    if kind == ".pcd":
-        optional("load_cloud: .pcd", "pypcd4", "pcd")
-    with opened(path, MOST) as file:
-        content = file.read()
+    kind, content = content_of("load_cloud", path, READERS, {".pcd": ("pypcd4", "pcd")}, MOST)
     try:
         points = np.asarray(READERS[kind](content))
     except Exception as error:  # whatever a parser for every variant raises is the file's fault

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import numbers
-from jaxik.checks.options import optional, shown
-from jaxik.files.documents import opened
+from jaxik.checks.options import shown
+from jaxik.files.documents import content_of
 from jaxik.reasons import LoadError
 
 MOST = 2**28  # bytes
@@ -31,12 +31,7 @@ def load_depth(path: str | Path, *, scale: Any = None) -> Float[np.ndarray, "h w
     a scale that is not above zero.
     """
     path = Path(path)
-    if (kind := path.suffix.lower()) not in READERS:
-        raise LoadError(path, "file", f"ending '{kind}'", f"allowed: {', '.join(READERS)}")
-    if kind == ".exr":
-        optional("load_depth: .exr", "OpenEXR", "exr")
-    with opened(path, MOST) as file:
-        content = file.read()
+    kind, content = content_of("load_depth", path, READERS, {".exr": ("OpenEXR", "exr")}, MOST)
     try:
         image = np.asarray(READERS[kind](content))
     except LookupError as error:  # which channel is meant

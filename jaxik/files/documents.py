@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import BinaryIO
 from xml.etree.ElementTree import Element, ParseError
@@ -14,7 +14,7 @@ import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from jaxik.checks.options import among, shown
+from jaxik.checks.options import among, optional, shown
 from jaxik.reasons import LoadError
 
 MAX_BYTES = 16 * 2**20  # of a robot or scene file; a mesh may have four times that
@@ -55,6 +55,19 @@ def opened(path: Path, most: int = MAX_BYTES) -> Iterator[BinaryIO]:
             yield file
     except OSError as error:
         raise LoadError(path, "file", f"cannot be read ({error.strerror or error})", "check the path") from None
+
+
+def content_of(
+    who: str, path: Path, readers: Collection[str], needs: dict[str, tuple[str, str]], most: int
+) -> tuple[str, bytes]:
+    """The ending of a file, one of those of which there are `readers`, and its bytes; `needs` are the module and the extra that
+    some endings need. Raises `LoadError` for another ending, and as `opened`; `ValueError` for a module that is missing."""
+    if (kind := path.suffix.lower()) not in readers:
+        raise LoadError(path, "file", f"ending '{kind}'", f"allowed: {', '.join(readers)}")
+    if kind in needs:
+        optional(f"{who}: {kind}", *needs[kind])
+    with opened(path, most) as file:
+        return kind, file.read()
 
 
 def read_bytes(path: Path) -> bytes:
