@@ -81,6 +81,13 @@ def replaced(value: Any, **changes: Any) -> Any:
     return other
 
 
+def copied(value: Any, **changes: Any) -> Any:
+    """An object with all that another has, but for changes: `copy.copy` in a tenth of its time."""
+    other = object.__new__(type(value))
+    vars(other).update(vars(value), **changes)
+    return other
+
+
 def read_only(tree: Any) -> Any:
     """A tree whose NumPy arrays nobody can write to: those that are so already, and copies of the others."""
     return jax.tree_util.tree_map(lambda x: _read_only(x) if isinstance(x, np.ndarray) else x, tree)

@@ -230,10 +230,10 @@ def _solids(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool,
             form = least.get(kind, Form(1, 0, False))
             asked = kind, rows, owner, masks, by_object, ignored, form
             found.append(_once(obstacles, asked) if is_known(rows) else _obstacles(*asked))
-    return Groups(*zip(*found, strict=True)) if found else Groups((), ())
+    return Groups(*zip(*found, strict=True)) if found else Groups((), (), ())
 
 
-def _once(solid: Any, asked: tuple[Any, ...]) -> tuple[Obstacles, np.ndarray]:
+def _once(solid: Any, asked: tuple[Any, ...]) -> tuple[Obstacles, np.ndarray, np.ndarray]:
     """`_obstacles` of a known kind of a scene, which keeps the last ones: scenes share the kinds in which nothing changed."""
     _, _, owner, masks, by_object, ignored, form = asked
     key = owner.tobytes(), masks.tobytes(), by_object, ignored, form
@@ -276,9 +276,9 @@ def _obstacles(
     by_object: bool,
     ignored: tuple[tuple[int, str], ...],
     least: Form,
-) -> tuple[Obstacles, np.ndarray]:
-    """Obstacles of a kind, and which object each of their rows belongs to; `masks` of each object, and of what belongs to none,
-    at last."""
+) -> tuple[Obstacles, np.ndarray, np.ndarray]:
+    """Obstacles of a kind, of each of their rows but the room behind, which one it was, and of all rows, which object they
+    belong to; `masks` of each object, and of what belongs to none, at last."""
     known = is_known(rows)
     xp = np if known else jnp
     if kind == "fields" and (lacks := least.nodes - rows[NODES].shape[1]) > 0:
@@ -316,7 +316,7 @@ def _obstacles(
     first, last, ignores = map(numbered, (first, last, ignores))
     unsound = xp.asarray(sum(xp.sum(x) * 0.0 for x in rows.values()))
     found = Obstacles(kind, kept, spheres, branches, first, last, ignores, np.int32(len(group)), unsound, bodies, ignored)
-    return found, np.concatenate([owner, np.full(room * size - len(owner), -1)])
+    return found, order, np.concatenate([owner, np.full(room * size - len(owner), -1)])
 
 
 def _by_body(solid: Any, owner: np.ndarray, group: np.ndarray) -> tuple[Any, np.ndarray]:
@@ -385,6 +385,19 @@ def balls_of_object(scene: Scene, number: int) -> list[tuple[np.ndarray, np.ndar
         rows = {name: np.asarray(getattr(getattr(scene, kind), name)) for name in SHAPES[kind]}
         found.append(extent({name: x[some] if x.ndim else x for name, x in rows.items()}, np))
     return found
+
+
+def ball_of_object(scene: Scene, number: int) -> tuple[np.ndarray, float] | None:
+    """A ball around an object of a known scene: its first row's place (3,) and a radius [m]; None where it has no obstacle."""
+    if not (parts := scene.rows_of(number)):
+        return None
+    kind, rows = parts[0]
+    place = np.asarray(next(iter(getattr(scene, kind).places.values())))[rows[0]]
+    center = place[:3, 3] if place.ndim == 2 else place
+    if number not in scene.radii:
+        apart = [np.linalg.norm(near - center, axis=1) + reach for near, reach in balls_of_object(scene, number)]
+        scene.radii[number] = max(float(x.max()) for x in apart)
+    return center, scene.radii[number]
 
 
 # --------------------------------------------------------------------------------------------------------------------

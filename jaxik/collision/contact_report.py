@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -22,7 +23,7 @@ from jaxik.checks.arrays import Array, check_known
 from jaxik.checks.options import as_count, check_finite, check_kind, nearest
 from jaxik.collision import distance
 from jaxik.collision.ball_trees import balls_around
-from jaxik.collision.bvh import balls_of_object, grouped, own_in, pair_tables
+from jaxik.collision.bvh import ball_of_object, grouped, own_in, pair_tables
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.every_contact import Contact, every_contact
 from jaxik.collision.leaf_rows import FAR
@@ -341,23 +342,23 @@ class _Standing(dict[tuple[Robot, float], tuple[Contact, ...]]):
 
 def _beside(robot: Robot, margin: float, scene: Scene, changes: Sequence[Change]) -> bool:
     """Whether objects that have moved may be nearer than `margin` [m] to shapes that no joint moves."""
-    if {change.object for change in changes} & {scene.owner(cloud.name) for cloud in scene.clouds}:
+    if scene.clouds and {change.object for change in changes} & {scene.owner(cloud.name) for cloud in scene.clouds}:
         return True
     middle, reach = _ball_of_fixed(robot)
-    balls = [ball for change in changes if change.pose is not None for ball in balls_of_object(scene, change.object)]
-    return any((np.linalg.norm(center - middle, axis=1) - radius < reach + margin).any() for center, radius in balls)
+    balls = [ball_of_object(scene, change.object) for change in changes if change.pose is not None]
+    return any([math.dist(ball[0].tolist(), middle) < ball[1] + reach + margin for ball in balls if ball is not None])
 
 
 @lru_cache(maxsize=KNOWN)
-def _ball_of_fixed(robot: Robot) -> tuple[np.ndarray, float]:
+def _ball_of_fixed(robot: Robot) -> tuple[list[float], float]:
     """The centre (3,) and radius of a ball around the shapes that no joint moves [m, world]; nothing is near where are none."""
     found = skeletons(_fixed_part(robot), default_pose(robot).tolist(), np.float64).values()
     corners = [(np.stack(corner, axis=-1), skeleton.radius) for skeleton in found for corner in skeleton.corners]
     if not corners:
-        return np.zeros(3), -np.inf
+        return [0.0, 0.0, 0.0], -np.inf
     points, radius = (np.concatenate(each) for each in zip(*corners, strict=True))
     ball = balls_around(points[None], radius[None])
-    return ball.center[0], float(ball.radius[0])
+    return ball.center[0].tolist(), float(ball.radius[0])
 
 
 def _misspelt(robot: Robot, scene: Scene) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -13,7 +14,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, Shape, is_known
 from jaxik.collision.leaf_rows import FAR
-from jaxik.pytree import Constant, read_only, replaced
+from jaxik.pytree import Constant, replaced
 from jaxik.spatial.rotations import frame
 
 LIMIT = 100.0  # [m] that anything may be away or long; a crop or a cell is smaller, one in millimetres is not
@@ -47,8 +48,7 @@ class Kind(Constant):
 
     @property
     def places(self) -> dict[str, Any]:
-        names = [field.name for field in dataclasses.fields(self)]
-        return {name: getattr(self, name) for name in names if name not in (*SIZES_OF, NODES)}
+        return {name: getattr(self, name) for name in _places_of(type(self))}
 
     @property
     def count(self) -> int:
@@ -68,18 +68,28 @@ class Kind(Constant):
 
     def moved(self, rows: Sequence[np.ndarray], poses: Sequence[Any]) -> Kind:
         """The same ones, some rows of which have moved, one after the other by poses (4, 4), or out of the way."""
-        traced = [isinstance(x, jax.core.Tracer) for x in (*vars(self).values(), *poses)]
+        known = self.concrete and not any([isinstance(pose, jax.core.Tracer) for pose in poses])
 
         def after(place: Any) -> Any:
-            place = jnp.asarray(place) if any(traced) else np.array(place)
+            place = np.array(place) if known else jnp.asarray(place)
             for some, pose in zip(rows, poses, strict=True):
-                if isinstance(place, np.ndarray):
+                if known:
                     place[some] = places_after(place[some], pose)
                 elif len(some):
                     place = place.at[some].set(places_after(place[some], pose))
+            if known:
+                place.flags.writeable = False
             return place
 
-        return replaced(self, **{name: read_only(after(place)) for name, place in self.places.items()})
+        found: Kind = replaced(self, **{name: after(place) for name, place in self.places.items()})
+        vars(found)["concrete"] = known
+        return found
+
+
+@functools.cache
+def _places_of(kind: type[Kind]) -> tuple[str, ...]:
+    """The fields of a kind that say where its obstacles are."""
+    return tuple(field.name for field in dataclasses.fields(kind) if field.name not in (*SIZES_OF, NODES))
 
 
 class Points(Kind):

@@ -324,10 +324,11 @@ class Scene(Constant):
                 rows.setdefault(kind, []).append((some, pose))
         kinds = {kind: getattr(self, kind).moved(*zip(*each, strict=True)) for kind, each in rows.items()}
         where = {self.object_names[number]: pose for number, pose in changes}
-        marks = tuple(mark if where.get(mark.name) is None else mark.moved(where[mark.name]) for mark in self.marks)
-        clouds = tuple(cloud.after(where[cloud.name]) if cloud.name in where else cloud for cloud in self.clouds)
+        marks = tuple([mark if where.get(mark.name) is None else mark.moved(where[mark.name]) for mark in self.marks])
+        clouds = tuple([cloud.after(where[cloud.name]) if cloud.name in where else cloud for cloud in self.clouds])
         found: Scene = replaced(self, marks=marks, clouds=clouds, **kinds)
-        vars(found).update(_rows=self._rows, concrete=self.concrete and is_known([change.pose for change in changes]))
+        known = self.concrete and not any([isinstance(change.pose, jax.core.Tracer) for change in changes])
+        vars(found).update(_rows=self._rows, radii=self.radii, concrete=known)
         _inherit(self, found, tuple(changes))
         return found
 
@@ -343,6 +344,11 @@ class Scene(Constant):
             for row, owner in enumerate(owners):
                 found.setdefault(owner, {}).setdefault(kind, []).append(row)
         return {owner: [(kind, np.array(rows)) for kind, rows in each.items()] for owner, each in found.items()}
+
+    @functools.cached_property
+    def radii(self) -> dict[int, float]:
+        """The radii [m] of balls around objects (`bvh.ball_of_object`), which their motions do not change."""
+        return {}
 
     @classmethod
     def stacked(cls, scenes: Sequence[Scene]) -> Scene:

@@ -7,7 +7,6 @@ is answered here has the same bits as there.
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -24,7 +23,7 @@ from jaxik.ik.result import IKResult
 from jaxik.ik.seed_search import Setup, Shared, Target, first_from_seeds
 from jaxik.ik.sqp_programs import batch, clearance_around
 from jaxik.kinematics.joint_turns import endless
-from jaxik.pytree import replaced
+from jaxik.pytree import copied, replaced
 from jaxik.reasons import Reason
 from jaxik.spmd import HostKernel, Unsupported
 from jaxik.spmd.host import Sharing
@@ -59,15 +58,14 @@ class Direct:
         self.problem = problem
         self._rigid = RIGID_POSE.repeated(np.eye(4)[None], double=True)
         self._search, self._told = _search(problem), _clearances(problem)
-        self._structure = _structure(problem.scene)
+        self._structure, self._common = _structure(problem.scene), _common(problem)
         self._bind(())
 
     def within(self, around: Grouped) -> Direct:
         """The same in other surroundings, for which nothing is compiled. Raises `Unsupported` where these have another form."""
         if self.problem.scene is None or _structure(around) != self._structure:
             raise Unsupported("surroundings of another form")
-        other = copy.copy(self)
-        other.problem = replaced(self.problem, scene=around)
+        other: Direct = copied(self, problem=replaced(self.problem, scene=around))
         other._bind(around)
         return other
 
@@ -76,7 +74,7 @@ class Direct:
         leaves = jax.tree_util.tree_leaves
         self._found = self._search.bound(leaves(around))
         self._apart = None if self._told is None else self._told(0, leaves(self.problem.told) if around else ())
-        self._usual = _usual(self.problem)
+        self._usual = self._common | {"solved_in": _solved_in(self.problem)}
 
     def __call__(self, pose: np.ndarray, home: np.ndarray | None = None) -> IKResult | None:
         """The answer for a pose (4, 4) in float64, from seeds near the posture `home` (n,) where these are asked for; None
@@ -106,13 +104,17 @@ def blind(problem: Problem) -> Problem:
     return problem if problem.scene is None else dataclasses.replace(problem, scene=None)
 
 
-def _usual(problem: Problem) -> dict[str, Any]:
-    """The fields that all answers have in common."""
+def _solved_in(problem: Problem) -> Any:
+    """The robot, its surroundings and the margin of an answer, by which it may be explained."""
+    return None if problem.scene is None else (problem.robot, problem.scene, problem.options.margin)
+
+
+def _common(problem: Problem) -> dict[str, Any]:
+    """The fields that all answers have in common, whatever the surroundings."""
     tasks = problem.tasks
     none = {"task": np.int64(-1), "beyond": np.float64(0.0), "other": np.int64(-1)}
     nearest = {"distance": np.float64(np.nan), "proven": np.bool_(False), "least_distance": np.float64(np.nan), "joints": None}
-    around = None if problem.scene is None else (problem.robot, problem.scene, problem.options.margin)
-    own = {"num_solutions": np.int64(1), "fault": np.int8(0), "tasks": tasks.names if tasks.listed else (), "solved_in": around}
+    own = {"num_solutions": np.int64(1), "fault": np.int8(0), "tasks": tasks.names if tasks.listed else ()}
     return {"reason": Reason.SOLVED, **own, **none, **nearest}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from jaxik.ik.remembered import as_pose, direct_problem, in_scene
 from jaxik.ik.result import IKResult
 from jaxik.ik.solve import solve_ik
 from jaxik.kinematics.robot import Robot
+from jaxik.pytree import copied
 from jaxik.spmd import Unsupported
 
 
@@ -92,8 +92,7 @@ class _World:
         if self.direct is None:
             return None
         robot, _, seed = self._asked
-        other = copy.copy(self)
-        other.scene, other._asked = scene, (robot, scene, seed)
+        other = copied(self, scene=scene, _asked=(robot, scene, seed))
         try:
             other.direct = in_scene(self.direct, robot, scene)
             if self._near is not None and self._near[0] is not None:

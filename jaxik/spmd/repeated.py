@@ -80,10 +80,11 @@ class Repeated:
         self._work, self._example, self._numbers = work, [np.array(x) for x in example], (count, vectors, ROUND)
         self._rows, self._results = [Row(x.shape, x.dtype) for x in example], list(results)
         brackets = {None: ("", ""), list: ("[", "]"), tuple: ("(", ")")}.get(form, ("form(", ")"))
-        self._code = _code(tuple(row.numbers for row in self._rows), checked, len(results), *brackets)
-        self._known: dict[str, Any] = {"form": form}
+        known: dict[str, Any] = {"form": form}
         for k, row in enumerate((*self._rows, *results)):
-            self._known |= {f"shape{k}": row.shape, f"dtype{k}": row.dtype}
+            known |= {f"shape{k}": row.shape, f"dtype{k}": row.dtype}
+        exec(_code(tuple(row.numbers for row in self._rows), checked, len(results), *brackets), known)
+        self._made = known.pop("made")  # which would hold itself by its names
         self._call: Any = None
         self._free: list[Any] = []  # the blocks of what was bound last
 
@@ -102,9 +103,7 @@ class Repeated:
                 x[...] = given
             self._call = _held(self._work, free[0][0])
         self._free = free
-        known = self._known | {"pop": free.pop, "push": free.append, "block": block, "work": self._call}
-        exec(self._code, known)
-        return known.pop("again")  # which would hold itself by its names
+        return self._made(free.pop, free.append, block, self._call)  # type: ignore[no-any-return]
 
     def _spare(self, shared: Sequence[np.ndarray]) -> tuple[Any, ...] | None:
         """A block of what was bound last, if it has one that nobody uses, with the addresses of what is shared now."""
@@ -144,32 +143,34 @@ def _laid_out(rows: Sequence[Row]) -> list[np.ndarray]:
 
 @functools.lru_cache(maxsize=256)
 def _code(numbers: tuple[str, ...], checked: bool, results: int, before: str, after: str) -> Any:
-    """The function of arguments that are arrays, or `numbers` of one of Python's types, and so many results, with brackets
-    `before` and `after` them; of an array, a number, and one result in a list:
+    """What makes the function of arguments that are arrays, or `numbers` of one of Python's types, and so many results, with
+    brackets `before` and `after` them; of an array, a number, and one result in a list:
 
-    def again(a0, a1, *, out=None):
-        if a0.shape != shape0 or a0.dtype is not dtype0:
-            raise TypeError
-        if type(a1) is not float and (a1.shape != shape1 or a1.dtype is not dtype1):
-            raise TypeError
-        if out is not None:
-            [z0, ] = out
-            if z0.shape != shape2 or z0.dtype is not dtype2:
+    def made(pop, push, block, work):
+        def again(a0, a1, *, out=None):
+            if a0.shape != shape0 or a0.dtype is not dtype0:
                 raise TypeError
-        try:
-            taken = pop()
-        except IndexError:
-            taken = block()
-        address, held, x0, x1, y0 = taken
-        x0[...] = a0
-        x1[...] = a1
-        work(address)
-        if out is None:
-            out = [y0.copy(), ]
-        else:
-            z0[...] = y0
-        push(taken)
-        return out
+            if type(a1) is not float and (a1.shape != shape1 or a1.dtype is not dtype1):
+                raise TypeError
+            if out is not None:
+                [z0, ] = out
+                if z0.shape != shape2 or z0.dtype is not dtype2:
+                    raise TypeError
+            try:
+                taken = pop()
+            except IndexError:
+                taken = block()
+            address, held, x0, x1, y0 = taken
+            x0[...] = a0
+            x1[...] = a1
+            work(address)
+            if out is None:
+                out = [y0.copy(), ]
+            else:
+                z0[...] = y0
+            push(taken)
+            return out
+        return again
     """
     inside, outside = range(len(numbers)), range(results)
     names = lambda word, numbers: "".join(f"{word.format(k)}, " for k in numbers)
@@ -196,4 +197,5 @@ def _code(numbers: tuple[str, ...], checked: bool, results: int, before: str, af
         " push(taken)",
         " return out",
     ]
-    return compile("\n".join(lines), "<a repeated call>", "exec")
+    inner = "\n".join(lines).replace("\n", "\n ")
+    return compile(f"def made(pop, push, block, work):\n {inner}\n return again", "<a repeated call>", "exec")
