@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxik.checks.options import check_flag, shown
 from jaxik.collision.bvh import forms_of, grouped_in
+from jaxik.collision.held import apart, held_by, together
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.spmd.handle import Handle
@@ -32,8 +33,10 @@ class Prepared(Handle):
             raise ValueError(f"{who}: a scene without a robot; write prepare(function, robot, scene)")
         self.models, self._scenes = models, scenes
         self._robot: Any = next(iter(robots), None)
-        fixed = tuple(None if k in scenes else each for k, each in enumerate(models))
-        super().__init__(who, functools.partial(_with_scenes, function, fixed, tuple(scenes)), double)
+        self._holders = [k for k, each in enumerate(models) if isinstance(each, Robot) and held_by(each)]
+        fixed = tuple(None if k in scenes else apart(each)[0] if k in self._holders else each for k, each in enumerate(models))
+        places = tuple(scenes), tuple(self._holders)
+        super().__init__(who, functools.partial(_with_models, function, fixed, *places), double)
         around = [grouped_in(models[k], robots[0]) for k in scenes]  # and in the forms by which `update` asks for others
         self._around = [grouped_in(models[k], robots[0], forms_of(each)) for k, each in zip(scenes, around, strict=True)]
 
@@ -43,24 +46,40 @@ class Prepared(Handle):
     def __repr__(self) -> str:
         return f"Prepared({_name(self.function.args[0])}: {', '.join(map(shown, self.models))})"  # type: ignore[attr-defined]
 
-    def update(self, *scenes: Scene) -> None:
+    def update(self, *models: Any) -> None:
         """Puts other scenes in the place of the present ones, from the next call on, without compiling: of kinds of obstacles
-        that these have, and no more of them than they have room for. Raises `ValueError` for others."""
+        that these have, and no more of them than they have room for; and in the place of robots with room
+        (`collision.with_room`) the same that hold something else, if any are told. Raises `ValueError` for others."""
+        scenes = tuple(each for each in models if not isinstance(each, Robot))
+        robots = self._robots_of([each for each in models if isinstance(each, Robot)])
         if len(scenes) != len(self._scenes) or not all(isinstance(each, Scene) for each in scenes):
             told, wanted = ", ".join(map(shown, scenes)) or "nothing", len(self._scenes)
             raise ValueError(f"{self.who}: update by {told}; it was prepared with {wanted} scene{'s' * (wanted != 1)}")
         with self._making:
             around = [grouped_in(scene, self._robot, forms_of(now)) for scene, now in zip(scenes, self._around, strict=True)]
-            given, models = iter(scenes), self.models
-            self.models = tuple(next(given) if k in self._scenes else each for k, each in enumerate(models))
+            changed = robots | dict(zip(self._scenes, scenes, strict=True))
+            self.models = tuple(changed.get(k, each) for k, each in enumerate(self.models))
             self._around = around
             self.put(*self._packed())
+
+    def _robots_of(self, robots: list[Robot]) -> dict[int, Robot]:
+        """Robots by their place among the models. Raises `ValueError` for those that are not there."""
+        if robots and len(robots) != len(self._holders):
+            raise ValueError(
+                f"{self.who}: update by {len(robots)} robots; {len(self._holders)} of its own have room (with_room)"
+            )
+        found = dict(zip(self._holders, robots, strict=False))
+        for k, robot in found.items():
+            if apart(robot)[0] != apart(self.models[k])[0]:
+                raise ValueError(f"{self.who}: update by another robot, {shown(robot.name)}; prepare it anew")
+        return found
 
     def begin(self, *example: Any, shared: tuple[Any, ...] = ()) -> None:
         super().begin(*example, shared=shared or self._packed())
 
     def _packed(self) -> tuple[Any, ...]:
-        return tuple(packed(around, np.float64 if self.double else np.float32) for around in self._around)
+        shared = [*self._around, *(apart(self.models[k])[1] for k in self._holders)]
+        return tuple(packed(each, np.float64 if self.double else np.float32) for each in shared)
 
 
 def prepare(
@@ -93,11 +112,15 @@ def prepare(
     return made
 
 
-def _with_scenes(function: Callable[..., Any], models: tuple[Any, ...], scenes: tuple[int, ...], *args: Any) -> Any:
-    """The function of `models`, but for the `scenes` among them, which come packed behind the other arguments."""
-    given = args[: len(args) - len(scenes)]
-    around = {k: unpacked(each) for k, each in zip(scenes, args[len(given) :], strict=True)}
-    return function(*(around.get(k, each) for k, each in enumerate(models)), *given)
+def _with_models(
+    function: Callable[..., Any], models: tuple[Any, ...], scenes: tuple[int, ...], holders: tuple[int, ...], *args: Any
+) -> Any:
+    """The function of `models`, but for the `scenes` among them, and for what the robots hold that have room, the `holders`:
+    these come packed behind the other arguments."""
+    given = args[: len(args) - len(scenes) - len(holders)]
+    shared = {k: unpacked(each) for k, each in zip((*scenes, *holders), args[len(given) :], strict=True)}
+    shared |= {k: together(models[k], shared[k]) for k in holders}
+    return function(*(shared.get(k, each) for k, each in enumerate(models)), *given)
 
 
 def _again(function: Callable[..., Any], models: tuple[Any, ...], double: bool) -> Prepared:

@@ -1,6 +1,6 @@
 """A scene, and how far a robot is from it and from itself."""
 
-from jaxik.collision.attached import Attached, attach
+from jaxik.collision.attached import Attached, attach, with_room
 from jaxik.collision.clearances import clearance, collides, link_clearances, object_clearances
 from jaxik.collision.contact_report import Contact, Limit, Nearby, explain
 from jaxik.collision.continuous_collision import MotionClearance, motion_clearance
@@ -33,4 +33,5 @@ __all__ = [
     "motion_clearance",
     "object_clearances",
     "robot_spheres",
+    "with_room",
 ]

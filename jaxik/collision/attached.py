@@ -6,14 +6,18 @@ import dataclasses
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import Array, check_known
-from jaxik.checks.options import check_kind, no_such, shown
+from jaxik.checks.options import as_count, check_kind, no_such, shown
+from jaxik.collision.leaf_rows import FAR
 from jaxik.collision.obstacle_kinds import KINDS, SHAPES
 from jaxik.collision.scene import Scene, check_scene
 from jaxik.collision.surface_trees import surface_of
+from jaxik.collision.volumes import box_spheres
 from jaxik.kinematics.forward import as_posture, joint_frames
 from jaxik.kinematics.robot import Robot, solid_links
 from jaxik.kinematics.shapes import Box, Surface, Volume, brick, fan, prism
@@ -39,9 +43,13 @@ def attach(robot: Robot, scene: Scene, name: str, q: Float[Array, " n"], *, touc
     checked against the scene and against the robot's other links, but for those that move with the tip, too, and those
     that it `touches` (MoveIt's touch_links). It has no mass.
 
+    In a robot `with_room` it fills the room instead, a link that is there already: programs that were compiled for one object
+    serve the next, and none. A robot that holds something puts it down where its programs go on with the robot with the empty
+    room, and the scene that has the object (`Scene.moved`).
+
     With several tips `robot.with_tips(name)` chooses the one that grasps. Raises `ValueError` for an object that is
-    not there, has no obstacle or the name of a link, for links that the robot does not have, for a q of another shape, and for
-    what is traced.
+    not there, has no obstacle, the name of a link or more obstacles than there is room for, for links that the robot does not
+    have, for a q of another shape, and for what is traced.
     """
     check_kind("attach", "robot", robot, Robot)
     check_kind("attach", "scene", scene, Scene)
@@ -52,28 +60,115 @@ def attach(robot: Robot, scene: Scene, name: str, q: Float[Array, " n"], *, touc
         raise ValueError(no_such("attach", "object", str(name), scene.object_names))
     if name in robot.link_names:
         raise ValueError(f"attach: {robot.name} has a link '{shown(name)}' already; give the object another name")
-    free = _links(robot, touches) | {i for i, joint in enumerate(robot.link_joint) if joint == last}
+    free = _free(robot, touches := tuple(touches) if not isinstance(touches, str) else touches, last)
     posture = as_posture("attach", robot, q)
+    room = room_of(robot)
+    if room is not None and touches:
+        raise ValueError("attach: touches of a robot with room; say them where the room is made (with_room)")
     frames = joint_frames(robot, posture.tolist(), Frame.of(robot.world_T_base)).joints
     joint_T_world = np.linalg.inv(frames[last - 1].matrices if last else Frame.of(robot.world_T_base).matrices)
-    found = [*_carried(scene, name, joint_T_world, link)]
+    found = [*_carried(scene, name, joint_T_world, link if room is None else room)]
     if not (count := len(found)):
         raise ValueError(f"attach: '{shown(name)}' has no obstacle in '{scene.name}'; there is nothing to carry")
     if count > MOST:
         mend = f"at most {MOST:,}; put a few spheres or boxes around it"
         raise ValueError(f"attach: '{shown(name)}' has {count:,} obstacles; {mend}")
     shapes = [each for each, _, _ in found]
-    held = dataclasses.replace(
+    if room is not None:
+        return Attached(_filled(robot, room, shapes, shown(name)), scene.without([name]))
+    held = _with_link(
         robot,
+        name,
+        last,
+        free,
         surfaces=(*robot.surfaces, _surface(link, found)) if robot.surfaces else (),
-        link_names=(*robot.link_names, name),
-        link_joint=(*robot.link_joint, last),
-        link_offset=np.concatenate([robot.link_offset, np.eye(4)[None]]),
         boxes=(*robot.boxes, *(each for each in shapes if isinstance(each, Box))),
         volumes=(*robot.volumes, *(each for each in shapes if isinstance(each, Volume))),
-        self_pairs=(*robot.self_pairs, *((i, link) for i in solid_links(robot) if i not in free)),
     )
     return Attached(held, scene.without([name]))
+
+
+def with_room(
+    robot: Robot, *, name: str = "held", spheres: int = 8, capsules: int = 0, triangles: int = 0, touches: Iterable[str] = ()
+) -> Robot:
+    """Gives a robot a link of a `name` that moves with its tip, with room for what it may hold, and nothing in it. Host.
+
+        arm = jaxik.collision.with_room(robot, spheres=8, capsules=1)
+        solver = jaxik.Solver(arm, scene=scene)  # compiles
+        held = jaxik.collision.attach(arm, scene, "cup", q)
+        solver.update(held.scene, robot=held.robot)  # compiles nothing
+        solver.update(scene.moved("cup", pose), robot=arm)  # and puts it down
+
+    `spheres` is for spheres and points, and for boxes, each of which takes as many as cover a box of the robot
+    (`robot.with_spheres`), 8 unless that was changed; `capsules` for capsules and cylinders. What is held keeps its form and
+    radii in float32. The link is checked as `attach` says, but for the links that it `touches`. What is behind the room costs
+    nearly nothing while it is empty.
+
+    Raises `ValueError` for a name that a link has, counts that are none or no room at all, links that the robot does not have,
+    and for a robot that convex parts or surfaces decide of.
+    """
+    check_kind("with_room", "robot", robot, Robot)
+    check_known("with_room", robot=robot)
+    if room_of(robot) is not None or name in robot.link_names:
+        raise ValueError(f"with_room: {robot.name} has a link '{shown(name)}' or room already; take the robot without")
+    if robot.surfaces or robot.convex_parts:
+        mend = "dataclasses.replace(robot, surfaces=(), convex_parts=()) is measured by its volumes"
+        raise ValueError(f"with_room: {robot.name} has convex parts or surfaces, which decide by fixed numbers; {mend}")
+    asked = {"spheres": spheres, "capsules": capsules, "triangles": triangles}
+    counts = [as_count(f"with_room: {kind}", count, least=0) for kind, count in asked.items()]
+    if not 0 < sum(counts) <= MOST:
+        raise ValueError(f"with_room: room for {sum(counts):,} volumes; allowed: 1 to {MOST:,}")
+    last, link = robot.only_tip("with_room"), len(robot.link_names)
+    nothing = [_nothing(robot, corners, link) for corners, count in enumerate(counts, 1) for _ in range(count)]
+    return _with_link(robot, name, last, _free(robot, touches, last), volumes=(*robot.volumes, *nothing))
+
+
+def room_of(robot: Robot) -> int | None:
+    """The number of the link that is a robot's room; None where it has none."""
+    links = {v.link for v in robot.volumes if isinstance(v.corners, jax.Array)}
+    others = {v.link for v in robot.volumes if not isinstance(v.corners, jax.Array)} | {box.link for box in robot.boxes}
+    return next(iter(links)) if len(links) == 1 and not links & others else None
+
+
+def _nothing(robot: Robot, corners: int, link: int) -> Volume:
+    """A volume that is further from everything than anything: of the same form as what may be in its place."""
+    tip = np.asarray(robot.tip_frames[0], np.float32)
+    return Volume(jnp.asarray(tip[:3, 3] + 1e-3 * np.eye(3, dtype=np.float32)[:corners]), jnp.float32(-FAR), link)
+
+
+def _filled(robot: Robot, room: int, shapes: list[Box | Volume], name: str) -> Robot:
+    """The robot with these shapes in its room. Raises `ValueError` where there is no room for them."""
+    given: dict[int, list[tuple[Any, Any]]] = {1: [], 2: [], 3: []}
+    for shape in shapes:
+        if isinstance(shape, Box):
+            centres, radius = box_spheres(shape, robot.spheres_per_box)
+            given[1] += [(centre[None], radius) for centre in np.asarray(centres)]
+        else:
+            given[len(shape.corners)].append((shape.corners, shape.radius))
+    volumes = list(robot.volumes)
+    for count, words in ((1, "spheres"), (2, "capsules"), (3, "triangles")):
+        places = [i for i, v in enumerate(volumes) if v.link == room and len(v.corners) == count]
+        if len(given[count]) > len(places):
+            mend = f"make more (with_room({words}={len(given[count])}))"
+            raise ValueError(f"attach: '{name}' takes {len(given[count])} {words} with room for {len(places)}; {mend}")
+        for i in places:
+            volumes[i] = _nothing(robot, count, room)
+        for i, (corners, radius) in zip(places, given[count], strict=False):
+            volumes[i] = Volume(jnp.asarray(corners, jnp.float32), jnp.float32(radius), room)
+    return dataclasses.replace(robot, volumes=tuple(volumes))
+
+
+def _with_link(robot: Robot, name: str, joint: int, free: set[int], **shapes: Any) -> Robot:
+    """The robot with one more link, which moves with a joint and is checked against all links but some."""
+    pairs = (*robot.self_pairs, *((i, len(robot.link_names)) for i in solid_links(robot) if i not in free))
+    offset = np.concatenate([robot.link_offset, np.eye(4)[None]])
+    names, joints = (*robot.link_names, name), (*robot.link_joint, joint)
+    return dataclasses.replace(robot, link_names=names, link_joint=joints, link_offset=offset, self_pairs=pairs, **shapes)
+
+
+def _free(robot: Robot, touches: Iterable[str], last: int) -> set[int]:
+    """The links that what is held is not checked against: those that it touches, and those that move with it."""
+    return _links(robot, touches) | {i for i, joint in enumerate(robot.link_joint) if joint == last}
 
 
 def _links(robot: Robot, names: Iterable[str]) -> set[int]:

@@ -21,6 +21,7 @@ from jaxik.checks.arrays import is_known
 from jaxik.collision.ball_trees import FAN, balls_around, balls_of, by_place, joined
 from jaxik.collision.cloud import LEAF as CLOUD_LEAF
 from jaxik.collision.cloud import Cloud, nothing
+from jaxik.collision.held import Held, holding
 from jaxik.collision.leaf_rows import FAR, SLACK, Balls
 from jaxik.collision.obstacle_kinds import NODES, SHAPES, SIZES_OF
 from jaxik.collision.own_shape import CLOSE, Own, once, own_shapes, shape_of, told_below
@@ -82,7 +83,7 @@ class Obstacles:
         return Form(size, room, self.bodies is not None, self.rows[NODES].shape[1] if NODES in self.rows else 0)
 
 
-Grouped = tuple[Obstacles | Own, ...]
+Grouped = tuple[Obstacles | Own | Held, ...]
 
 
 class Form(NamedTuple):
@@ -109,8 +110,9 @@ def grouped(scene: Scene | Grouped | None, robot: Robot, by_object: bool = False
             raise ValueError(
                 f"{robot.name}: the obstacles are grouped for another robot's `ignored`; group the scene for this one"
             )
-        known = any(own.of == shape_of(robot) for own in own_in(scene))
-        return scene if known else obstacles_in(scene) + own_shapes(robot)
+        known = any(own.of == shape_of(holding(robot, scene)) for own in own_in(scene))
+        held = tuple(each for each in scene if isinstance(each, Held))
+        return scene if known else obstacles_in(scene) + held + own_shapes(robot)
     if not scene.concrete:
         check_scene(scene)
         return _grouped(scene, robot.ignored, by_object) + own_shapes(robot)

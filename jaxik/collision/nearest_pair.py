@@ -22,6 +22,7 @@ from jaxik.collision import bvh, distance
 from jaxik.collision.bvh import Grouped, RobotTrees
 from jaxik.collision.cloud_search import CloudSearch, ball_around
 from jaxik.collision.field_gap import FieldGap
+from jaxik.collision.held import holding
 from jaxik.collision.leaf_rows import Found, as_columns, count_of, entry, nearest_of, row_at, rows_from
 from jaxik.collision.own_pairs import Exact, Parts
 from jaxik.collision.own_shape import OwnParts, OwnSurfaces
@@ -74,6 +75,7 @@ class Space:
     not the nearest volumes, which have points."""
 
     def __init__(self, robot: Robot, around: Grouped, q: Any, by_table: bool = True):
+        robot = holding(robot, around)
         self.trees, self.obstacles, self.dtype = bvh.robot_trees(robot), bvh.obstacles_in(around), q.dtype
         self.by_table = by_table
         self.robot, self.q, self.tabled = robot, q, len(self.trees.tables.size) > 0
@@ -322,7 +324,7 @@ class Space:
         """Returns what is found `inside` two spheres, unless they are further apart than what is found already."""
         (center, radius), (other, other_radius) = a, b
         apart, reach = center - other, found.distance + (radius + other_radius)
-        return self._if(apart.dot(apart) < reach * reach, inside, found)
+        return self._if(apart.dot(apart) < reach * jnp.abs(reach), inside, found)  # below 0 nothing is within reach
 
     def _if_beside(self, found: Found, mine: Any, ball: Any, inside: Callable[[Found], Found]) -> Found:
         """Returns what is found `inside` a ball, unless that is further from the one volume than what is found already."""

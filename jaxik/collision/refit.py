@@ -1,8 +1,8 @@
 """Trees of obstacles after some objects have moved: what did not change is shared, and balls are joined again around what did.
 
 The order in which obstacles lie in leaves and branches stays [refitting; Van den Bergen 1997]. So whatever is measured is
-exact, and takes longer where an object has come far from those that it was grouped with. Objects that have moved move again: the
-balls around all others are kept, and those around the object's own rows go where it goes.
+exact, and takes longer where an object has come far from those that it was grouped with. Objects that have moved move again:
+the balls around all others are kept, and those around the object's own rows go where it goes.
 """
 
 from __future__ import annotations

@@ -232,7 +232,8 @@ class Scene(Constant):
             poses = _frames_of("moved: pose", pose, len(objects))
             changes = [Change(*each) for each in zip(objects, poses, strict=True)]
             for change in changes:
-                if is_known(change.pose) and np.abs(change.pose[:3, 3]).max() > LIMIT:  # what is near need not be looked at
+                # what is near need not be looked at
+                if is_known(change.pose) and max(map(abs, change.pose[:3, 3].tolist())) > LIMIT:
                     self._check_reach(change)
             return self._changed(changes)
         if isinstance(first, str):

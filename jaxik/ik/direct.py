@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from jaxik.collision.bvh import Grouped, own_in
+from jaxik.collision.held import holding
 from jaxik.ik import seeds
 from jaxik.ik.branch_search import NOBODY, first_answers, first_clear_answers
 from jaxik.ik.enumeration import enumerable, points
@@ -58,22 +59,23 @@ class Direct:
         self.problem = problem
         self._rigid = RIGID_POSE.repeated(np.eye(4)[None], double=True)
         self._search, self._told = _search(problem), _clearances(problem)
-        self._structure, self._common = _structure(problem.scene), _common(problem)
+        self._structure, self._common = jax.tree_util.tree_structure(problem.scene), _common(problem)
         self._bind(())
 
     def within(self, around: Grouped) -> Direct:
         """The same in other surroundings, for which nothing is compiled. Raises `Unsupported` where these have another form."""
-        if self.problem.scene is None or _structure(around) != self._structure:
+        leaves, structure = jax.tree_util.tree_flatten(around)
+        if self.problem.scene is None or structure != self._structure:
             raise Unsupported("surroundings of another form")
         other: Direct = copied(self, problem=replaced(self.problem, scene=around))
-        other._bind(around)
+        other._bind(leaves)
         return other
 
-    def _bind(self, around: Grouped) -> None:
-        """Makes what is called, for other surroundings than those that the programs were made for, if any are told."""
-        leaves = jax.tree_util.tree_leaves
-        self._found = self._search.bound(leaves(around))
-        self._apart = None if self._told is None else self._told(0, leaves(self.problem.told) if around else ())
+    def _bind(self, around: Sequence[Any]) -> None:
+        """Makes what is called, for the arrays of other surroundings than those that the programs were made for, if any are."""
+        self._found = self._search.bound(around)
+        told = lambda: jax.tree_util.tree_leaves(self.problem.told) if around else ()
+        self._apart = None if self._told is None else self._told(0, told())
         self._usual = self._common | {"solved_in": _solved_in(self.problem)}
 
     def __call__(self, pose: np.ndarray, home: np.ndarray | None = None) -> IKResult | None:
@@ -95,10 +97,6 @@ class Direct:
         return result
 
 
-def _structure(around: Grouped | None) -> Any:
-    return jax.tree_util.tree_structure(around)
-
-
 def blind(problem: Problem) -> Problem:
     """The problem with nothing to hit."""
     return problem if problem.scene is None else dataclasses.replace(problem, scene=None)
@@ -106,7 +104,8 @@ def blind(problem: Problem) -> Problem:
 
 def _solved_in(problem: Problem) -> Any:
     """The robot, its surroundings and the margin of an answer, by which it may be explained."""
-    return None if problem.scene is None else (problem.robot, problem.scene, problem.options.margin)
+    around = problem.scene
+    return None if around is None else (holding(problem.robot, around), around, problem.options.margin)
 
 
 def _common(problem: Problem) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from jaxik.checks.arrays import RIGID, is_rigid, numbers
 from jaxik.checks.options import check_collision, check_finite, check_kind, check_seed, no_such, shown
 from jaxik.collision.bvh import Grouped, at_margin, decided_within, grouped, obstacles_in
 from jaxik.collision.clearances import has_geometry
+from jaxik.collision.held import apart, held_by
 from jaxik.collision.own_shape import told_below
 from jaxik.collision.scene import Scene
 from jaxik.costs import check_cost
@@ -175,7 +176,8 @@ class Problem:
             raise ValueError("solve_ik: choice 'manipulability' is of one tip; choose 'closest', 'freedom' or 'comfort'")
         strategy = _strategy(robot, options.seeds, tasks)
         inside, whole = (_range(robot, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
-        around = grouped(scene, robot) if scene is not None else None
+        around = None if scene is None else grouped(scene, robot) + held_by(robot)
+        robot, _ = apart(robot)  # whatever it holds, the programs are the same
         unit = sqp_programs.unit_length(robot)
         each = (
             targets.poses,

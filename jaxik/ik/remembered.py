@@ -17,6 +17,7 @@ import numpy as np
 from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import check_geometry, has_geometry
 from jaxik.collision.contact_report import standing_words
+from jaxik.collision.held import held_by
 from jaxik.collision.scene import Scene, remembered
 from jaxik.collision.scene_builder import make_scene
 from jaxik.ik.direct import Direct, is_compiled, is_direct
@@ -63,11 +64,12 @@ def direct_problem(robot: Robot, scene: Scene | None, seed: int, options: IKOpti
 
 
 def in_scene(direct: Direct, robot: Robot, scene: Scene) -> Direct:
-    """The programs in another scene. Raises `Unsupported` where that has another form, or something to warn of."""
+    """The programs in another scene, of a robot that may hold something else. Raises `Unsupported` where the scene has another
+    form, or something to warn of."""
     problem = direct.problem
     if not scene.concrete or standing_words(robot, scene, problem.options.margin):
         raise Unsupported("a scene that is to be looked at first")
-    return direct.within(problem.asked(grouped(scene, problem.robot)))
+    return direct.within(problem.asked(grouped(scene, robot) + held_by(robot)))
 
 
 class _Place:

@@ -21,6 +21,7 @@ from jaxik.checks.options import check_kind
 from jaxik.collision.bvh import Grouped, grouped_alike, own_in
 from jaxik.collision.clearances import link_clearances
 from jaxik.collision.contact_report import warn_of_scene
+from jaxik.collision.held import held_by
 from jaxik.collision.own_shape import own_shapes
 from jaxik.collision.scene import Scene
 from jaxik.costs import Cost
@@ -144,7 +145,7 @@ def _solved_apart(
 ) -> IKResult:
     """`solved`, each target in a scene of its own, by the same programs: scene by scene, those that follow in one together."""
     problem, parts = Problem.of(robot, scenes[0], seed, options, targets, tasks), []
-    around = [problem.asked(each + own_shapes(robot)) for each in grouped_alike(scenes, robot)]
+    around = [problem.asked(each + own_shapes(robot) + held_by(robot)) for each in grouped_alike(scenes, robot)]
     for _, numbers in itertools.groupby(range(len(scenes)), lambda i: id(scenes[i])):
         first, *more = numbers
         end = first + len(more) + 1

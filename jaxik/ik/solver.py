@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import check_kind, shown
+from jaxik.collision.held import apart
 from jaxik.collision.scene import Scene
 from jaxik.ik.direct import Direct
 from jaxik.ik.options import IKOptions
@@ -35,9 +36,8 @@ class Solver:
         self, robot: Robot, *, scene: Scene | None = None, seed: int = 0, options: IKOptions | None = None, **changes: Any
     ):
         check_kind("Solver", "robot", robot, Robot)
-        self.robot, self.seed = robot, seed
-        self.options = IKOptions.chosen(options, changes)
-        self.update(scene)
+        self.seed, self.options = seed, IKOptions.chosen(options, changes)
+        self._world = _World(robot, scene, seed, self.options)
 
     def __reduce__(self) -> Any:
         return _again, (self.robot, self.scene, self.seed, self.options)  # another process compiles its own
@@ -47,16 +47,26 @@ class Solver:
         return f"Solver({shown(self.robot)}{around}, seed={self.seed})"
 
     @property
+    def robot(self) -> Robot:
+        """The robot, with what it holds."""
+        return self._world.robot
+
+    @property
     def scene(self) -> Scene | None:
         """The world as it was told last."""
         return self._world.scene
 
-    def update(self, scene: Scene | None) -> None:
+    def update(self, scene: Scene | None, *, robot: Robot | None = None) -> None:
         """Changes the world, for calls that begin after this one. A scene of the same kinds of solids, about as many, compiles
-        nothing; one that was made of the last by `Scene.moved` or `Scene.without` takes a thirtieth of the time."""
-        before = getattr(self, "_world", None)
-        after = None if before is None or scene is None else before.within(scene)
-        self._world = after or _World(self.robot, scene, self.seed, self.options)
+        nothing; one that was made of the last by `Scene.moved` or `Scene.without` takes a thirtieth of the time. `robot`: the
+        same one, which holds something else in its room (`collision.with_room`); that compiles nothing either.
+
+        Raises `ValueError` for another robot."""
+        before = self._world
+        if robot is not None and robot is not before.robot and apart(robot)[0] != apart(before.robot)[0]:
+            raise ValueError(f"Solver: update by another robot, {shown(robot.name)}; make a Solver of it")
+        robot = before.robot if robot is None else robot
+        self._world = before.within(scene, robot) or _World(robot, scene, self.seed, self.options)
 
     def __call__(self, target: Any, posture: Any = None) -> IKResult:
         """Returns the answer for a target, or the reason why there is none; as `solve_ik(robot, target)`.
@@ -68,31 +78,30 @@ class Solver:
         if posture is None:
             direct, home, options = world.direct, None, self.options
         else:
-            home = numbers("posture", posture, (self.robot.num_joints,), finite=True)
+            home = numbers("posture", posture, (world.robot.num_joints,), finite=True)
             direct, options = world.near(home)
         pose = None if direct is None else as_pose(target)
         if pose is not None and (found := direct(pose, home)) is not None:  # type: ignore[misc]
             return found
         if home is not None:
             options = options.changed({"reference": home})
-        return solve_ik(self.robot, target, scene=world.scene, seed=self.seed, options=options)
+        return solve_ik(world.robot, target, scene=world.scene, seed=self.seed, options=options)
 
 
 class _World:
     """The programs for one scene; those of searches near a posture once one is given."""
 
     def __init__(self, robot: Robot, scene: Scene | None, seed: int, options: IKOptions):
-        self.scene, self._asked = scene, (robot, scene, seed)
+        self.robot, self.scene, self._asked = robot, scene, (robot, scene, seed)
         self._options = options
         self.direct = self._made(options)
         self._near: tuple[Direct | None, IKOptions] | None = None
 
-    def within(self, scene: Scene) -> _World | None:
+    def within(self, scene: Scene | None, robot: Robot) -> _World | None:
         """The programs of this world in another scene; None where that one has another form, or is to be looked at first."""
-        if self.direct is None:
+        if self.direct is None or scene is None:
             return None
-        robot, _, seed = self._asked
-        other = copied(self, scene=scene, _asked=(robot, scene, seed))
+        other: _World = copied(self, robot=robot, scene=scene, _asked=(robot, scene, self._asked[2]))
         try:
             other.direct = in_scene(self.direct, robot, scene)
             if self._near is not None and self._near[0] is not None:

@@ -25,11 +25,11 @@ from jaxik.collision.bvh import grouped, own_in
 from jaxik.collision.clearances import clearance
 from jaxik.collision.contact_report import explain
 from jaxik.collision.continuous_collision import joint_reaches
+from jaxik.collision.held import Carried, apart, together
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.joint_turns import TURN, whole_turns
 from jaxik.kinematics.robot import Robot, solid_links
 from jaxik.planning.collision_checker import CollisionChecker
-from jaxik.planning.world import Carried, apart, together
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 

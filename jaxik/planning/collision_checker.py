@@ -11,11 +11,12 @@ import numpy as np
 from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.clearances import by_object, collides
 from jaxik.collision.continuous_collision import joint_reaches, motion_collides
+from jaxik.collision.held import Carried, apart, together
 from jaxik.collision.own_shape import by_volumes
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.joint_turns import endless, whole_turns, wound
 from jaxik.kinematics.robot import Robot
-from jaxik.planning.world import Carried, World, apart, by_lane, in_world, together
+from jaxik.planning.world import World, by_lane, in_world
 from jaxik.reasons import Reason
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels

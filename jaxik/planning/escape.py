@@ -14,11 +14,11 @@ import numpy as np
 
 from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import clearance
+from jaxik.collision.held import Carried, apart, together
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.joint_turns import whole_turns
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker
-from jaxik.planning.world import Carried, apart, together
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 

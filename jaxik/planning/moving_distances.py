@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.collision.bvh import Grouped, decided_within, grouped
+from jaxik.collision.held import Carried, apart, together
 from jaxik.collision.leaf_rows import FAR
 from jaxik.collision.moving import MovingScene
 from jaxik.collision.moving_clearance import alone, inverse
 from jaxik.collision.nearest_pair import Space
 from jaxik.collision.own_shape import CLOSE, told_below
 from jaxik.kinematics.robot import Robot, as_configuration
-from jaxik.planning.world import Carried, apart, together
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 

@@ -6,7 +6,6 @@ several each row has a copy of its own. Configurations are asked for sixteen a r
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -17,10 +16,10 @@ from jax import lax
 
 from jaxik.collision.bvh import Obstacles, grouped, grouped_alike
 from jaxik.collision.continuous_collision import size_of
+from jaxik.collision.held import Carried, apart, together
 from jaxik.collision.own_shape import own_shapes, shape_of
 from jaxik.collision.scene import Scene, remembered
 from jaxik.kinematics.robot import Robot
-from jaxik.kinematics.shapes import Volume
 from jaxik.spmd import TEAM, HostKernel, team
 from jaxik.spmd.batch import ahead, in_blocks
 from jaxik.spmd.host import host_kernels
@@ -30,7 +29,6 @@ from jaxik.spmd.trace import TEAM_SIZE
 COPIED = 1 << 26  # bytes of scenes, of which the rows of one call have copies, at most
 
 Kernels = Callable[[Robot, bool], HostKernel]
-Carried = dict[int, Volume]
 
 
 class Body(NamedTuple):
@@ -110,19 +108,6 @@ class World:
         rows = [_sixteens(asked)] + [self.sizes[scenes]] * sized
         holds = _bits(self.run(kernels, *rows, among=scenes, shared=shared, size=TEAM_SIZE), len(asked))
         return holds if places is None else holds[np.unique(places, return_index=True)[1]]
-
-
-def apart(robot: Robot) -> tuple[Robot, Carried]:
-    """The robot without the numbers of those of its volumes that are JAX arrays, and these by their place."""
-    carried = {i: v for i, v in enumerate(robot.volumes) if isinstance(v.corners, jax.Array)}
-    without = lambda v: dataclasses.replace(v, corners=np.zeros(v.corners.shape), radius=np.zeros(()))
-    return together(robot, {i: without(v) for i, v in carried.items()}), carried
-
-
-def together(robot: Robot, carried: Carried) -> Robot:
-    """The robot with what it carries. Traced."""
-    volumes = tuple(carried.get(i, v) for i, v in enumerate(robot.volumes))
-    return dataclasses.replace(robot, volumes=volumes) if carried else robot
 
 
 def _scene(scene: Scene | None, robot: Robot) -> tuple[Packed, np.ndarray]:

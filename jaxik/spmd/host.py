@@ -196,12 +196,15 @@ class Sharing(NamedTuple):
     def __call__(self, first: int = 0, others: Sequence[Any] = ()) -> Callable[..., list[np.ndarray]]:
         """The repeated call, with `others` instead of as many shared arrays from the `first` on. Raises `Unsupported` where
         these have other shapes."""
-        before = self.shared[first : first + len(others)]
-        fits = lambda x, old: isinstance(x, np.ndarray) and x.dtype is old.dtype and x.flags.c_contiguous
-        given = [x if fits(x, old) else as_operand(x, old.dtype) for x, old in zip(others, before, strict=True)]
-        if any(x.shape != old.shape or x.dtype != old.dtype for x, old in zip(given, before, strict=True)):
-            raise Unsupported("arrays of other shapes")
-        return self.calls.bound([*self.shared[:first], *given, *self.shared[first + len(given) :]])
+        given = list(self.shared)
+        for k, x in enumerate(others, first):
+            old = given[k]
+            if not (isinstance(x, np.ndarray) and x.dtype is old.dtype and x.flags.c_contiguous):
+                x = as_operand(x, old.dtype)
+            if x.shape != old.shape or x.dtype != old.dtype:
+                raise Unsupported("arrays of other shapes")
+            given[k] = x
+        return self.calls.bound(given)
 
 
 def host_kernels(lanes: int, known: int = 64) -> Callable[[Callable[..., Any]], Callable[..., HostKernel]]:
