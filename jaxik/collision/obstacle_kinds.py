@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -48,7 +47,8 @@ class Kind(Constant):
 
     @property
     def places(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in _places_of(type(self))}
+        of = vars(self)
+        return {name: of[name] for name in self.__dataclass_fields__ if name not in (*SIZES_OF, NODES)}  # type: ignore[attr-defined]
 
     @property
     def count(self) -> int:
@@ -84,12 +84,6 @@ class Kind(Constant):
         found: Kind = replaced(self, **{name: after(place) for name, place in self.places.items()})
         vars(found)["concrete"] = known
         return found
-
-
-@functools.cache
-def _places_of(kind: type[Kind]) -> tuple[str, ...]:
-    """The fields of a kind that say where its obstacles are."""
-    return tuple(field.name for field in dataclasses.fields(kind) if field.name not in (*SIZES_OF, NODES))
 
 
 class Points(Kind):

@@ -64,6 +64,7 @@ class Direct:
 
     def within(self, around: Grouped) -> Direct:
         """The same in other surroundings, for which nothing is compiled. Raises `Unsupported` where these have another form."""
+        structure: Any
         leaves, structure = jax.tree_util.tree_flatten(around)
         if self.problem.scene is None or structure != self._structure:
             raise Unsupported("surroundings of another form")
