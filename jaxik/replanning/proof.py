@@ -28,10 +28,11 @@ class Hit(NamedTuple):
 
 
 class Chords(NamedTuple):
-    """The places (c + 1,) between which a path is proven, and how much more than the margin a chord over the whole of each part
-    needs for each square of its way (c,)."""
+    """The chords of a path: the places (c + 1,) at which they meet [of its way], the configurations `q` (c + 1, n) there, and
+    how much more than the margin a chord over the whole of each part needs for each square of its way (c,)."""
 
     places: np.ndarray
+    q: np.ndarray
     bends: np.ndarray
 
     @classmethod
@@ -47,31 +48,45 @@ class Chords(NamedTuple):
         piece = np.repeat(np.arange(len(some)), counts)
         number = np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts)
         begins = (np.cumsum(lengths) - lengths)[piece] + number / counts[piece] * lengths[piece]
-        return cls(np.append(begins, lengths.sum()), bends[piece])
+        return cls.through(path, np.append(begins, lengths.sum()), bends[piece])
+
+    @classmethod
+    def through(cls, path: JointPath, places: np.ndarray, bends: np.ndarray) -> Chords:
+        """The chords of a path that meet at such places."""
+        return cls(places, np.asarray(path_at(np, path, places)[0]), bends)
+
+    def proven(self, space: CollisionChecker, resolution: float = RESOLUTION) -> np.ndarray:
+        """Whether each of them proves its part of the path (c,)."""
+        return space.proven(self.q[:-1], self.q[1:], self.bends * np.diff(self.places) ** 2, resolution)
+
+    def between(self, first: float, last: float) -> Chords:
+        """Those of them that have something between two places."""
+        begin = max(int(np.searchsorted(self.places, first, side="right")) - 1, 0)
+        end = max(int(np.searchsorted(self.places, last)), begin)
+        return Chords(self.places[begin : end + 1], self.q[begin : end + 1], self.bends[begin:end])
 
 
 def first_hit(space: CollisionChecker, course: Course, time: float) -> Hit | None:
     """The end of what is proven of a course from a time on [s]; None where all of it is."""
-    rows = [row for k, run in enumerate(course.runs) if run.end > time for row in _rows(space, k, run, time)]
-    if not rows:
-        return None
-    number, begin, end, bend = (np.array(x) for x in zip(*rows, strict=True))
-    for i in np.flatnonzero(~_proven(space, course, number, begin, end, bend, RESOLUTION)).tolist():
-        places = np.linspace(*_within(course.runs[number[i]], begin[i], end[i], time), FINER + 1)
-        of = np.full(FINER, number[i])
-        free = _proven(space, course, of, places[:-1], places[1:], np.full(FINER, bend[i]), CLOSE)
-        if not free.all():
-            first = int(np.argmin(free))
-            return Hit(int(number[i]), float(places[first]), _at(course.runs[number[i]], places[first + 1 : first + 2])[0])
+    for number, run in enumerate(course.runs):
+        if run.end > time and (hit := _first_hit(space, number, run, time)) is not None:
+            return hit
     return None
 
 
-def _rows(space: CollisionChecker, number: int, run: Run, time: float) -> list[tuple[int, float, float, float]]:
-    """The chords of a run that are not behind it: its number, the places at which each begins and ends, and its bend."""
-    places, bends = _chords(run, space.weights)
-    first, last = _span(run, time)
-    some = np.flatnonzero((places[1:] > first) & (places[:-1] < last))
-    return [(number, places[i], places[i + 1], bends[i]) for i in some.tolist()]
+def _first_hit(space: CollisionChecker, number: int, run: Run, time: float) -> Hit | None:
+    """The end of what is proven of a run."""
+    path = run.trajectory.path
+    first, last = run.trajectory.places_at([run.own_time(time), run.own_end]).tolist()
+    chords = _chords(run, space.weights).between(first, last)
+    for i in np.flatnonzero(~chords.proven(space)).tolist():
+        places = np.linspace(max(chords.places[i], first), min(chords.places[i + 1], last), FINER + 1)
+        finer = Chords.through(path, places, np.full(FINER, chords.bends[i]))
+        free = finer.proven(space, CLOSE)
+        if not free.all():
+            k = int(np.argmin(free))
+            return Hit(number, float(places[k]), finer.q[k + 1])
+    return None
 
 
 def _chords(run: Run, weights: np.ndarray) -> Chords:
@@ -80,36 +95,3 @@ def _chords(run: Run, weights: np.ndarray) -> Chords:
     if known is None:
         vars(run)["_chords"] = known = Chords.of(run.trajectory.path, weights)
     return known
-
-
-def _span(run: Run, time: float) -> tuple[float, float]:
-    """The places between which a run moves from a time on."""
-    first, last = run.trajectory.places_at([run.own_time(time), run.own_end])
-    return float(first), float(last)
-
-
-def _within(run: Run, begin: float, end: float, time: float) -> tuple[float, float]:
-    """The part of a chord that is neither behind a run at a time nor beyond its end."""
-    first, last = _span(run, time)
-    return max(begin, first), min(end, last)
-
-
-def _at(run: Run, places: np.ndarray) -> np.ndarray:
-    return np.asarray(path_at(np, run.trajectory.path, places)[0])
-
-
-def _proven(
-    space: CollisionChecker,
-    course: Course,
-    number: np.ndarray,
-    begin: np.ndarray,
-    end: np.ndarray,
-    bend: np.ndarray,
-    resolution: float,
-) -> np.ndarray:
-    """Whether the chords from place to place of runs of such numbers (c,) are proven."""
-    ends = np.empty((2, len(number), len(course.standing)))
-    for k in np.unique(number).tolist():
-        rows = number == k
-        ends[:, rows] = _at(course.runs[k], np.stack([begin[rows], end[rows]]))
-    return space.proven(ends[0], ends[1], bend * (end - begin) ** 2, resolution)
