@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxik.garbage import uncollected
@@ -63,7 +64,8 @@ class HostKernel:
         if double is not None:
             width = np.dtype(np.float64 if double else np.float32)
             args = jax.tree_util.tree_map(lambda x: as_operand(x, width), args)
-        with jax.enable_x64(jax.config.jax_enable_x64 if double is None else double), jax.ensure_compile_time_eval():
+        wide = jnp.result_type(float) == np.float64 if double is None else double
+        with jax.enable_x64(wide), jax.ensure_compile_time_eval():
             # now, also where what calls is being traced: a robot's closed forms are found then
             return [np.asarray(x) for x in jax.tree_util.tree_leaves(self.by_xla(*args))]
 
