@@ -28,8 +28,9 @@ class Hit(NamedTuple):
 
 
 class Chords(NamedTuple):
-    """The chords of a path: the places (c + 1,) at which they meet [of its way], the configurations `q` (c + 1, n) there, and
-    how much more than the margin a chord over the whole of each part needs for each square of its way (c,)."""
+    """The chords of a path, or rows of some: the places (..., c + 1) at which they meet [of its way], the configurations `q`
+    (..., c + 1, n) there, and how much more than the margin a chord over the whole of each part needs for each square of its
+    way (..., c)."""
 
     places: np.ndarray
     q: np.ndarray
@@ -55,10 +56,6 @@ class Chords(NamedTuple):
         """The chords of a path that meet at such places."""
         return cls(places, np.asarray(path_at(np, path, places)[0]), bends)
 
-    def proven(self, space: CollisionChecker, resolution: float = RESOLUTION) -> np.ndarray:
-        """Whether each of them proves its part of the path (c,)."""
-        return space.proven(self.q[:-1], self.q[1:], self.bends * np.diff(self.places) ** 2, resolution)
-
     def between(self, first: float, last: float) -> Chords:
         """Those of them that have something between two places."""
         begin = max(int(np.searchsorted(self.places, first, side="right")) - 1, 0)
@@ -66,27 +63,58 @@ class Chords(NamedTuple):
         return Chords(self.places[begin : end + 1], self.q[begin : end + 1], self.bends[begin:end])
 
 
+class Part(NamedTuple):
+    """A part of the path of a run, which has a `number`: chords that cover what is between the places `first` and `last`."""
+
+    number: int
+    path: JointPath
+    first: float
+    last: float
+    chords: Chords
+
+    @classmethod
+    def left(cls, number: int, run: Run, time: float, weights: np.ndarray) -> Part:
+        """The part of a run that is left at a time [s]."""
+        first, last = run.trajectory.places_at([run.own_time(time), run.own_end]).tolist()
+        return cls(number, run.trajectory.path, first, last, _chords(run, weights).between(first, last))
+
+    def finer(self, some: np.ndarray) -> Part:
+        """The parts of it that some chords cover, each a row of finer chords."""
+        places, bends = self.chords.places, self.chords.bends[some]
+        begin, end = np.maximum(places[some], self.first), np.minimum(places[some + 1], self.last)
+        places = np.linspace(begin, end, FINER + 1, axis=-1)
+        return self._replace(chords=Chords.through(self.path, places, np.repeat(bends[:, None], FINER, axis=1)))
+
+
 def first_hit(space: CollisionChecker, course: Course, time: float) -> Hit | None:
     """The end of what is proven of a course from a time on [s]; None where all of it is."""
-    for number, run in enumerate(course.runs):
-        if run.end > time and (hit := _first_hit(space, number, run, time)) is not None:
-            return hit
+    left = [Part.left(k, run, time, space.weights) for k, run in enumerate(course.runs) if run.end > time]
+    free = _proven(space, left, RESOLUTION)
+    if all(each.all() for each in free):
+        return None
+    finer = [part.finer(np.flatnonzero(~each)) for part, each in zip(left, free, strict=True)]
+    for part, each in zip(finer, _proven(space, finer, CLOSE), strict=True):
+        if not each.all():
+            row, k = np.argwhere(~each)[0].tolist()
+            return Hit(part.number, float(part.chords.places[row, k]), part.chords.q[row, k + 1])
     return None
 
 
-def _first_hit(space: CollisionChecker, number: int, run: Run, time: float) -> Hit | None:
-    """The end of what is proven of a run."""
-    path = run.trajectory.path
-    first, last = run.trajectory.places_at([run.own_time(time), run.own_end]).tolist()
-    chords = _chords(run, space.weights).between(first, last)
-    for i in np.flatnonzero(~chords.proven(space)).tolist():
-        places = np.linspace(max(chords.places[i], first), min(chords.places[i + 1], last), FINER + 1)
-        finer = Chords.through(path, places, np.full(FINER, chords.bends[i]))
-        free = finer.proven(space, CLOSE)
-        if not free.all():
-            k = int(np.argmin(free))
-            return Hit(number, float(places[k]), finer.q[k + 1])
-    return None
+def _proven(space: CollisionChecker, parts: list[Part], resolution: float) -> list[np.ndarray]:
+    """Whether the chords of each part are proven to keep the margin (..., c), all of them together."""
+    if not parts:
+        return []
+    n = parts[0].chords.q.shape[-1]
+    rows = [(c.q[..., :-1, :].reshape(-1, n), c.q[..., 1:, :].reshape(-1, n), _needs(c).ravel()) for *_, c in parts]
+    begin, end, needs = (np.concatenate(x) for x in zip(*rows, strict=True))
+    free = space.proven(begin, end, needs, resolution)
+    each = np.split(free, np.cumsum([len(some) for *_, some in rows])[:-1])
+    return [x.reshape(part.chords.bends.shape) for x, part in zip(each, parts, strict=True)]
+
+
+def _needs(chords: Chords) -> np.ndarray:
+    """How much more than the margin each chord (..., c) needs [m]."""
+    return np.asarray(chords.bends * np.diff(chords.places) ** 2)
 
 
 def _chords(run: Run, weights: np.ndarray) -> Chords:

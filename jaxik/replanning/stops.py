@@ -6,14 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from jaxik.planning.braking import Brakes
+from jaxik.planning.braking import Brake, Brakes
 from jaxik.planning.limits import AnyLimits
 from jaxik.pytree import replaced
 from jaxik.replanning.course import Course, Run
 from jaxik.replanning.proof import Hit
 
 MOMENTS = 257  # of a run, between which the last one is found that is before a place
-WAITS = 0.9, 0.6, 0.3  # shares of the time for which the braking might wait; the first that is not too long counts
+WAITS = np.array([0.9, 0.6, 0.3])  # shares of the time for which the braking might wait; the first that is not too long counts
 
 
 class Stops:
@@ -35,10 +35,10 @@ class Stops:
         first = halted.runs[hit.run] if len(halted.runs) > hit.run else self._braked(run, 0.0)
         begun, free = max(now - run.begin, 0.0), self._free(run, hit)
         if first.own_end < free:
-            starts = (begun + wait * (free - first.own_end) for wait in WAITS)
-            brakes = (self.brakes(run.trajectory, start) for start in starts)
-            if (brake := next((each for each in brakes if each.end <= free), None)) is not None:
-                yield Course(course.standing, (*course.runs[: hit.run], replaced(run, brake=brake)))
+            brakes = self.brakes(run.trajectory, begun + WAITS * (free - first.own_end))
+            for k in np.flatnonzero(brakes.end <= free)[:1].tolist():
+                later = replaced(run, brake=Brake(*(np.broadcast_to(x, WAITS.shape)[k] for x in brakes)))
+                yield Course(course.standing, (*course.runs[: hit.run], later))
         if len(halted.runs) <= hit.run or first.own_end <= free:
             yield halted
 
