@@ -107,6 +107,47 @@ def test_what_has_moved_is_where_it_would_have_been_built(seed):
     np.testing.assert_array_equal(gaps(now, True), gaps(same, True))
 
 
+def corners_of(kind: str, rows: dict, i: int) -> np.ndarray:
+    """Points (k, 3) that a row of obstacles has, without its radius."""
+    if kind not in ("boxes", "cylinders"):
+        return np.array([rows[at][i] for at in ("center", "a", "b", "c") if at in rows])
+    frame = rows["world_T_box" if kind == "boxes" else "world_T_cylinder"][i]
+    half = rows["half"][i] if kind == "boxes" else [rows["radius"][i], rows["radius"][i], rows["half"][i]]
+    signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+    return (signs * half) @ frame[:3, :3].T * (1.0 if kind == "boxes" else 0.5**0.5) + frame[:3, 3]
+
+
+def assert_inside(scene: jaxik.Scene, by_object: bool) -> None:
+    """Each row of obstacles is in the balls of its leaf and of its branch."""
+    for each in grouped(scene, PANDA, by_object=by_object):
+        for b in range(int(each.count)):
+            for leaf in range(each.first[b], each.last[b]):
+                for row in range(leaf * each.form.size, (leaf + 1) * each.form.size):
+                    points = corners_of(each.kind, each.rows, row)
+                    if np.abs(points).max() > 1e5:  # out of the way
+                        continue
+                    radius = each.rows.get("radius", np.zeros(()))
+                    radius = 0.0 if each.kind in ("boxes", "cylinders") else float(radius[row] if radius.ndim else radius)
+                    for balls, i in ((each.leaves, leaf), (each.branches, b)):
+                        assert np.linalg.norm(points - balls.center[i], axis=1).max() + radius <= balls.radius[i] + 1e-9
+
+
+@pytest.mark.parametrize("by_object", [False, True])
+def test_what_moves_stays_inside_its_balls(by_object):
+    """In whatever order: from the same scene again, on from where it is, several together, away and together with it."""
+    rng, base = np.random.default_rng(8), built(objects(8))
+    assert_inside(base, by_object)
+    some, now = [f"thing {i}" for i in (1, 3, 4, 6, 8)], base
+    for names in (some[0], some[0], some[:3], some, some[1:], some, some[2]):
+        poses = pose(rng) if isinstance(names, str) else np.stack([pose(rng) for _ in names])
+        assert_inside(base.moved(names, poses), by_object)
+        now = now.moved(names, poses)
+        assert_inside(now, by_object)
+    gone = base.moved(some, np.stack([pose(rng) for _ in some])).without(some[:2])
+    assert_inside(gone, by_object)
+    assert_inside(gone.moved(some[2:], np.stack([pose(rng) for _ in some[2:]])), by_object)
+
+
 def test_what_is_taken_away_and_comes_back_is_there():
     given = objects(7)
     scene = built(given)
