@@ -159,8 +159,9 @@ def _one_is_rigid(x: list[float], y: list[float], z: list[float], last: list[flo
     unit = abs(a * a + d * d + g * g - 1.0), abs(b * b + e * e + h * h - 1.0), abs(c * c + f * f + i * i - 1.0)
     square = abs(a * b + d * e + g * h), abs(a * c + d * f + g * i), abs(b * c + e * f + h * i)
     away = abs(last[0]), abs(last[1]), abs(last[2]), abs(last[3] - 1.0)
-    near = all(off <= RIGID for off in (*unit, *square, *away))  # NaN is not
-    return near and a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) > 0.0 and math.isfinite(p + q + r)
+    near = max(*unit, *square, *away) <= RIGID  # or something is NaN, which makes the volume or the sum below so
+    right_handed = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) > 0.0
+    return near and right_handed and math.isfinite(p + q + r + sum(last))
 
 
 def rigid_frame(what: str, given: Any) -> Any:

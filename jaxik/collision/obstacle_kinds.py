@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -44,11 +44,17 @@ class Kind(Constant):
     """Obstacles of one kind: where they are, as points (k, 3) or frames (k, 4, 4), and their sizes, `radius` and `half` [m]."""
 
     __slots__ = ("_groups",)  # `bvh` keeps there how they were grouped last; copies and pickles do not take it over
+    _of_places: ClassVar[tuple[str, ...]] = ()  # which of the fields say where they are
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        names = [field.name for field in dataclasses.fields(cls)]
+        cls._of_places = tuple(name for name in names if name not in (*SIZES_OF, NODES))
 
     @property
     def places(self) -> dict[str, Any]:
-        of = vars(self)
-        return {name: of[name] for name in self.__dataclass_fields__ if name not in (*SIZES_OF, NODES)}  # type: ignore[attr-defined]
+        own = vars(self)
+        return {name: own[name] for name in self._of_places}
 
     @property
     def count(self) -> int:
