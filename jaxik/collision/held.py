@@ -1,4 +1,4 @@
-"""What a robot holds, apart from it: its volumes that are JAX arrays are no part of its programs, which are given them.
+"""The volumes that a robot holds, apart from it: those that are JAX arrays are no part of its programs, which are given them.
 
 So programs that are made for a robot with room (`attached.with_room`) serve whatever it holds.
 """
@@ -41,7 +41,7 @@ def together(robot: Robot, carried: Carried) -> Robot:
 
 @once
 def held_by(robot: Robot) -> tuple[Held, ...]:
-    """What a robot holds, if it has room for it, to be put among its surroundings."""
+    """The volumes that a robot holds, if it has any, to be put among its surroundings."""
     _, carried = apart(robot)
     return (Held(carried),) if carried else ()
 

@@ -12,6 +12,7 @@ from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.continuous_collision import joint_reaches, motion_bound, size_of
+from jaxik.collision.held import Carried, apart, together
 from jaxik.collision.moving import MovingScene
 from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
@@ -19,7 +20,6 @@ from jaxik.kinematics.robot import Robot
 from jaxik.planning.moving_cells import Course, cells_between, proof
 from jaxik.planning.moving_distances import MovingDistances
 from jaxik.planning.trajectory import JointPath, Trajectory, path_at, place_at
-from jaxik.planning.world import Carried, apart, together
 from jaxik.reasons import Reason
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels

@@ -143,7 +143,7 @@ def _laid_out(rows: Sequence[Row]) -> list[np.ndarray]:
 
 @functools.lru_cache(maxsize=256)
 def _code(numbers: tuple[str, ...], checked: bool, results: int, before: str, after: str) -> Any:
-    """What makes the function of arguments that are arrays, or `numbers` of one of Python's types, and so many results, with
+    """The maker of the function of arguments that are arrays, or `numbers` of one of Python's types, and so many results, with
     brackets `before` and `after` them; of an array, a number, and one result in a list:
 
     def made(pop, push, block, work):

@@ -134,7 +134,7 @@ def assert_inside(scene: jaxik.Scene, by_object: bool) -> None:
 
 @pytest.mark.parametrize("by_object", [False, True])
 def test_what_moves_stays_inside_its_balls(by_object):
-    """In whatever order: from the same scene again, on from where it is, several together, away and together with it."""
+    """Any order will do: from the same scene again, on from where it is, several together, away and together with it."""
     rng, base = np.random.default_rng(8), built(objects(8))
     assert_inside(base, by_object)
     some, now = [f"thing {i}" for i in (1, 3, 4, 6, 8)], base
