@@ -44,7 +44,8 @@ class Replanner:
     left of the motion in the new world. Where something stands in its way, the motion is braked along its own path before that,
     and goes on by a way that is planned from where it will come to rest; so it is when the goal changes. Where no way is found
     the robot stops, and each update looks on. What appears within the distance in which the robot can stop is not avoided: it
-    brakes as soon as it can, and the command says so (`late`).
+    brakes as soon as it can, and the command says so (`late`); so it is of what comes nearer than the margin to a robot that
+    stands.
 
     Limits of velocity, acceleration and jerk hold at every moment, also through changes. `options` and keywords are those of
     `ReplanOptions`; the scene's room (`Scene.with_room`) says for how many things programs are compiled, once. Commands follow
@@ -94,7 +95,8 @@ class Replanner:
 
     def __repr__(self) -> str:
         goal = "no goal" if self._goal is None else f"goal={shown(self._goal)}"
-        return f"Replanner({shown(self.robot)}, {goal}, time={self._time:g})"
+        time = f"time={self._time:g}" if np.isfinite(self._time) else "no update yet"
+        return f"Replanner({shown(self.robot)}, {goal}, {time})"
 
     @property
     def scene(self) -> Scene | None:
@@ -125,7 +127,7 @@ class Replanner:
         event = self._decided(time, time + self.options.latency, changed, asked)
         if event is Event.KEPT and not self._course.moves_at(time):
             arrived = self._leads or self._goal is None
-            event = Event.ARRIVED if arrived else Event.BLOCKED
+            event = Event.BLOCKED if self._touched() or not arrived else Event.ARRIVED
         elif event is Event.KEPT and not self._leads:
             event = Event.STOPPING
         place = place_of(self.robot, self._scene, self.options.margin, self._space.weights)
@@ -135,8 +137,10 @@ class Replanner:
         return command
 
     def stopping(self, time: float) -> Course:
-        """The course that the robot would run if it were told at a time [s] to brake."""
-        return self._stops.at_once(self._course, float(time) + self.options.latency)
+        """The course that the robot would run if it were told at a time [s] to brake. Raises `ValueError` for a time that is no
+        finite number."""
+        time = float(numbers("Replanner.stopping: time", time, (), finite=True))
+        return self._stops.at_once(self._course, time + self.options.latency)
 
     @classmethod
     def replay(cls, path: str | Path) -> tuple[Log, list[Command]]:
@@ -175,11 +179,20 @@ class Replanner:
         self._space, self._scene = space, own
         return not all(map(np.array_equal, world.around.rows, before.around.rows))
 
+    def _touched(self) -> bool:
+        """Whether the world comes nearer than the margin to the robot where it stands, which is then told."""
+        stop, (hit, _, refusal) = self._course.stop, self._told
+        late = bool(self._space.hits(stop[None])[0])
+        self._told = stop if late else hit, late, refusal
+        return late
+
     def _decided(self, time: float, now: float, changed: bool, asked: bool) -> Event:
         """Decides what to do from a moment `now` on, and takes the course for it."""
         hit = first_hit(self._space, self._course, time) if changed else None
         if hit is not None:
             return self._replanned(time, now, self._stops.before(self._course, hit, now), hit.q)
+        if changed:  # what it was too late for has gone, or is behind
+            self._told = self._told[0], False, self._told[2]
         if asked:
             return self._replanned(time, now, [self._stops.at_once(self._course, now)])
         if self._goal is not None and not self._leads and (changed or self._open):

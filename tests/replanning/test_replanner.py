@@ -92,6 +92,31 @@ def test_what_falls_into_the_braking_distance_is_told(make, table, judge):
     assert arm.update(now + 5.1, table).event is Event.REPLANNED
 
 
+def test_what_lands_on_an_arm_that_stands_is_told_until_it_goes(make, table, judge):
+    arm, begin = make(), make()
+    on = table.with_("fallen", boxes=[[*np.asarray(jaxik.forward_kinematics(arm.robot, GOAL))[:3, 3], 0.1, 0.1, 0.1]])
+    driven(arm, {}, 120, {0: GOAL})
+    assert arm.update(5.0).event is Event.ARRIVED
+    for command in (arm.update(5.1, on), arm.update(5.2)):
+        assert command.event is Event.BLOCKED and command.late and judge.collides(on, command.hit[None]).all()
+        assert command.why.startswith("the robot stands too near") and "fallen" in command.why
+    gone = arm.update(5.3, table)
+    assert gone.event is Event.ARRIVED and not gone.late
+    on = table.with_("fallen", boxes=[[*np.asarray(jaxik.forward_kinematics(arm.robot, START))[:3, 3], 0.1, 0.1, 0.1]])
+    assert begin.update(0.0, on).event is Event.BLOCKED  # before there is a goal, too
+
+
+def test_what_was_too_near_is_forgotten_once_it_has_gone(make, table):
+    arm = make()
+    driven(arm, {}, 16, {0: GOAL})
+    ahead = np.asarray(jaxik.forward_kinematics(arm.robot, arm.at(17 / RATE).q))[:3, 3]
+    late = arm.update(16 / RATE, table.with_("fallen", spheres=[[*ahead, 0.05]]))
+    again = arm.update(16.1 / RATE)
+    assert late.late and again.late and "proven in the world" not in again.why
+    gone = arm.update(16.2 / RATE, table)
+    assert not gone.late and gone.course.moves_at(16.2 / RATE)
+
+
 def test_nothing_changes_within_the_latency(make, table):
     arm = make(latency=0.05)
     driven(arm, {}, 4, {0: GOAL})
@@ -111,6 +136,7 @@ def test_what_is_refused_leaves_the_motion_as_it_was(make, table):
         (lambda: arm.update(0.9), r"time 0.9 s after 1 s; a clock does not go backwards"),
         (lambda: arm.update(np.nan), r"time.* nan; write finite numbers"),
         (lambda: arm.update("now"), r"no array of numbers"),
+        (lambda: arm.stopping(np.nan), r"stopping: time.* nan"),
         (lambda: arm.update(1.1, "a scene"), r"scene"),
         (lambda: arm.update(1.1, table.with_("can", cylinders=[[0.5, 0.0, 0.3, 0.1, 0.1]])), r"Scene.with_room"),
         (lambda: arm.go(beyond), r"goal: panda_joint1 is 9; allowed: -2.8973 to 2.8973"),
