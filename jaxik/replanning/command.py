@@ -22,7 +22,7 @@ class Event(enum.StrEnum):
     """The kinds of what an update does."""
 
     KEPT = enum.auto()  # the motion goes on
-    REPLANNED = enum.auto()  # another way to the goal
+    REPLANNED = enum.auto()  # a new way to the goal
     STOPPING = enum.auto()  # it brakes, and there is no way to the goal yet
     BLOCKED = enum.auto()  # it stands, and there is no way to the goal, or something is too near (`late`)
     ARRIVED = enum.auto()  # it stands in the goal, or where it was made while there is none
@@ -30,7 +30,7 @@ class Event(enum.StrEnum):
 
 WORDS = {
     Event.KEPT: "the motion is proven in the world as it is",
-    Event.REPLANNED: "there is another way to the goal",
+    Event.REPLANNED: "there is a new way to the goal",
     Event.STOPPING: "the robot brakes, and no way to the goal is known",
     Event.BLOCKED: "the robot stands, and no way to the goal is known",
     Event.ARRIVED: "the robot stands where it is to go",

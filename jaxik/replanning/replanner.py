@@ -104,8 +104,9 @@ class Replanner:
         return self._scene
 
     def go(self, goal: Any) -> None:
-        """Sets the goal, a configuration (n,) or a pose of the tip `base_T_tip` (4, 4) [m]; the next update plans. Raises
-        `ValueError` for other shapes, NaN, and a configuration outside of the limits."""
+        """Sets the goal, a configuration (n,) or a pose of the tip `base_T_tip` (4, 4) [m]; the next update plans, from
+        where the robot comes to rest. The goal that it is on its way to changes nothing. Raises `ValueError` for other shapes,
+        NaN, and a configuration outside of the limits."""
         who, n = "Replanner.go: goal", self.robot.num_joints
         goal = numbers(who, goal, (n,), (4, 4), finite=True)
         if goal.ndim == 2:
@@ -113,7 +114,9 @@ class Replanner:
                 raise ValueError(f"{who} is no rigid frame; allowed: a right-handed rotation, and 0 0 0 1 below")
         else:
             _inside(who, self.robot, goal)
-        self._goal, self._asked = goal, True
+        known = self._goal is not None and np.array_equal(goal, self._goal)
+        if not (known and self._leads):  # a motion to it need not brake for it
+            self._goal, self._asked = goal, True
 
     def at(self, times: Any) -> Motion:
         """The set points at times () or (i,) [s] from the last update on: q, velocity and acceleration."""

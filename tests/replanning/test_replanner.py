@@ -77,6 +77,15 @@ def test_the_goal_may_change_on_the_way_and_be_a_pose(make):
     check_limits(points)
 
 
+def test_the_same_goal_again_does_not_brake(make):
+    once, often = make(), make()
+    once.go(GOAL)
+    course = once.update(0.0).course
+    for k in range(4):
+        often.go(GOAL)
+        assert often.update(k / RATE).course == course
+
+
 def test_what_falls_into_the_braking_distance_is_told(make, table, judge):
     arm = make()
     driven(arm, {}, 16, {0: GOAL})
