@@ -29,6 +29,7 @@ from jaxik.planning.trajectory import Trajectory
 QUICKER = np.geomspace(1.0, 8.0, 19)  # times as quick as is always possible, that are tried
 TABLE = 1025  # points of the usual braking, between which it is interpolated
 LEVEL = np.linspace(0.0, 1.0, 9)  # shares of the time of the steady fall, at which it is looked at as well
+COARSE = 8  # looks of which one is taken first
 SURE = 0.995  # share of the limits that the others may use where they are looked at
 
 
@@ -110,28 +111,55 @@ def braking(trajectory: Trajectory, start: np.ndarray | float, limits: AnyLimits
     velocity, acceleration and jerk are looked at, where what lies between has `SURE`; the usual braking, which none is slower
     than, needs no look. Raises `ValueError` for a reserve that is not between 0 and 1.
     """
-    start = np.asarray(start, float)
-    usual = usual_brake(limits, reserve, limits.velocity)
-    u = np.linspace(0.0, float(usual.lasts), TABLE)
-    begun, time = start.reshape(-1, 1, 1), np.asarray(trajectory.time, float)
-    phases = np.concatenate([[0.0], usual.ramp + LEVEL * usual.level, [usual.lasts]])
-    own = begun + usual.rates(phases)[0] / QUICKER[:, None]  # (k, tries, p)
-    looks = np.concatenate([np.nextafter(time, -np.inf), time, 0.5 * (time[1:] + time[:-1])])
-    looks = looks[(looks >= begun.min(initial=np.inf)) & (looks <= own.max(initial=-np.inf))]
-    tau = np.concatenate([np.broadcast_to(looks, (*own.shape[:2], len(looks))), own], axis=-1)
-    # all are the usual law at another pace, so one table tells when each of them comes where
-    ahead = (tau - begun) * QUICKER[:, None]
-    since = np.minimum(np.interp(ahead, usual.rates(u)[0], u), usual.lasts * (1.0 - 1e-9))  # at rest it no longer brakes
-    first, second, third = (x * QUICKER[:, None] ** k for k, x in enumerate(usual.rates(since)[1:]))
-    velocity, acceleration = _moving(trajectory, looks, own)
-    used = np.abs(acceleration * (first**2)[..., None] + velocity * second[..., None]) / limits.acceleration
-    if isinstance(limits, JerkLimits):
-        bend = np.abs(3.0 * acceleration * (first * second)[..., None] + velocity * third[..., None]) / limits.jerk
-        used = np.maximum(used, bend + (1.0 - reserve) * (first**3)[..., None])
-    on_the_way = (ahead >= 0.0) & (ahead <= usual.end * (1.0 + 1e-12))
-    kept = ((used <= SURE) | ~on_the_way[..., None]).all(axis=(-2, -1))
-    best = np.where(kept, QUICKER, 1.0).max(axis=-1).reshape(start.shape)
-    return Brake(start, *usual[1:]).quicker(best)
+    return Brakes(limits, reserve)(trajectory, start)
+
+
+class Brakes:
+    """The `braking` of trajectories within the same limits, for which its tables are made once."""
+
+    def __init__(self, limits: AnyLimits, reserve: float):
+        self.limits, self.reserve = limits, reserve
+        self.usual = usual = usual_brake(limits, reserve, limits.velocity)
+        self._u = np.linspace(0.0, float(usual.lasts), TABLE)
+        self._own_time = usual.rates(self._u)[0]
+        self._phases = usual.rates(np.concatenate([[0.0], usual.ramp + LEVEL * usual.level, [usual.lasts]]))[0]
+
+    def __call__(self, trajectory: Trajectory, start: np.ndarray | float) -> Brake:
+        """The braking from a moment `start` () or (k,) [s]."""
+        start, time = np.asarray(start, float), np.asarray(trajectory.time, float)
+        begun = start.ravel()
+        looks = np.sort(np.concatenate([np.nextafter(time, -np.inf), time, 0.5 * (time[1:] + time[:-1])]))
+        after, before = begun.min(initial=np.inf), begun.max(initial=-np.inf) + self.usual.end
+        looks = looks[(looks >= after) & (looks <= before)]
+        every = np.broadcast_to(QUICKER, (len(begun), len(QUICKER)))
+        kept = self._keeps(trajectory, begun, every, looks[::COARSE])  # most that break the limits do so there
+        best, open_ = np.zeros(len(begun), int), np.arange(len(begun))
+        while len(open_):
+            best[open_] = (kept[open_] * np.arange(len(QUICKER))).max(axis=1)
+            open_ = open_[best[open_] > 0]
+            sure = self._keeps(trajectory, begun[open_], QUICKER[best[open_], None], looks)[:, 0]
+            open_ = open_[~sure]
+            kept[open_, best[open_]] = False
+        return Brake(start, *self.usual[1:]).quicker(QUICKER[best].reshape(start.shape))
+
+    def _keeps(self, trajectory: Trajectory, begun: np.ndarray, paces: np.ndarray, looks: np.ndarray) -> np.ndarray:
+        """Whether (k, tries) brakings from moments (k,), so many times as quick as the usual one (k, tries), keep the limits at
+        looks (m,) and where their own phases meet."""
+        begun, paces = begun[:, None, None], paces[:, :, None]
+        own = begun + self._phases / paces  # (k, tries, p)
+        tau = np.concatenate([np.broadcast_to(looks, (*own.shape[:2], len(looks))), own], axis=-1)
+        # all are the usual law at another pace, so one table tells when each of them comes where
+        ahead = (tau - begun) * paces
+        since = np.interp(ahead, self._own_time, self._u)
+        since = np.minimum(since, self.usual.lasts * (1.0 - 1e-9))  # at rest it no longer brakes
+        first, second, third = (x * paces**k for k, x in enumerate(self.usual.rates(since)[1:]))
+        velocity, acceleration = _moving(trajectory, looks, own)
+        used = np.abs(acceleration * (first**2)[..., None] + velocity * second[..., None]) / self.limits.acceleration
+        if isinstance(self.limits, JerkLimits):
+            bend = np.abs(3.0 * acceleration * (first * second)[..., None] + velocity * third[..., None]) / self.limits.jerk
+            used = np.maximum(used, bend + (1.0 - self.reserve) * (first**3)[..., None])
+        on_the_way = (ahead >= 0.0) & (ahead <= self.usual.end * (1.0 + 1e-12))
+        return ((used <= SURE) | ~on_the_way[..., None]).all(axis=(-2, -1))
 
 
 def _moving(trajectory: Trajectory, looks: np.ndarray, own: np.ndarray) -> list[np.ndarray]:

@@ -29,6 +29,7 @@ from jaxik.planning.way_law import Law, averaged, driven
 
 MOMENTS = 300  # by default
 FEWEST = 64  # moments of a part between two stops
+HASTY = 150  # moments below which the law that is found first is taken: who asks for so few wants it soon
 ROUGH = 500  # places of a motion without a limit of the jerk
 RAMP, SOFTER = 0.25, 3  # of the time; turns in which accelerations are found that the jerk reaches in it
 TURNS, MOST = 3, 6  # in which limits are drawn in where they were missed: at least, and while they are missed
@@ -89,7 +90,7 @@ def smooth_laws(wholes: Sequence[Part], places: int | None) -> list[Law]:
     found = dict(lines)
     for first in range(0, len(bent), TOGETHER):
         some = slice(first, first + TOGETHER)
-        laws = _resolved([every[i] for i in bent[some]], [rough[i] for i in bent[some]], counts[some])
+        laws = _resolved([every[i] for i in bent[some]], [rough[i] for i in bent[some]], counts[some], count < HASTY)
         found |= dict(zip(bent[some], laws, strict=True))
     joined = []
     for i, whole in enumerate(wholes):
@@ -163,8 +164,9 @@ def _softened(part: Part, width: float) -> Part:
 class _Turns:
     """The turns in which the law along a part, in so many moments, is found from a rough one whose accelerations jump."""
 
-    def __init__(self, part: Part, rough: Rough, count: int):
+    def __init__(self, part: Part, rough: Rough, count: int, hasty: bool):
         time, place, speed = rough
+        self.hasty = hasty
         width = min(max(_rise(part, *rough), RISE * time[-1] / count), 0.5 * time[-1])
         self.part, self.count, self.number, self.ended = part, count, 0, False
         self.known = averaged(time, place, speed, width, count)
@@ -185,7 +187,7 @@ class _Turns:
         self.laws.append(law.slower(slower))
         self.number += 1
         most, missed = (LATER, HELD) if _tips_most(self.part, uses) > BINDS else (MOST, MISSED)
-        self.ended = self.number >= most or (self.number >= TURNS and slower < missed)
+        self.ended = self.hasty or self.number >= most or (self.number >= TURNS and slower < missed)
         if not self.ended:
             self.share *= _left(uses, np.searchsorted(self.known.place, at), len(self.known.time))
 
@@ -198,11 +200,11 @@ class _Turns:
         return min(self.laws, key=_lasts)
 
 
-def _resolved(parts: Sequence[Part], rough: Sequence[Rough], counts: Sequence[int]) -> list[Law]:
+def _resolved(parts: Sequence[Part], rough: Sequence[Rough], counts: Sequence[int], hasty: bool) -> list[Law]:
     """The laws along parts, each in so many moments, from rough ones whose accelerations jump. What is shorter than a few of
     them, as a sharp corner of a long path, would slow down all of it: so they are more until it is not, and where a tip has its
     speed, as long as that is worth it."""
-    found, counts = _curved(parts, rough, counts), list(counts)
+    found, counts = _curved(parts, rough, counts, hasty), list(counts)
     lasts = [float(time[-1]) for time, _, _ in rough]
     most = [min(ALL, FINEST * time / _soonest(part, *each)) for part, each, time in zip(parts, rough, lasts, strict=True)]
     gains = [np.inf if _binds(part, law) else 0.0 for part, law in zip(parts, found, strict=True)]
@@ -210,7 +212,7 @@ def _resolved(parts: Sequence[Part], rough: Sequence[Rough], counts: Sequence[in
     while open_ := [i for i in range(len(parts)) if late(i)]:
         for i in open_:
             counts[i] *= 2
-        again = _curved([parts[i] for i in open_], [rough[i] for i in open_], [counts[i] for i in open_])
+        again = _curved([parts[i] for i in open_], [rough[i] for i in open_], [counts[i] for i in open_], hasty)
         for i, other in zip(open_, again, strict=True):
             gains[i] = gains[i] and _lasts(found[i]) / _lasts(other) - 1.0
             found[i] = min(found[i], other, key=_lasts)
@@ -241,9 +243,9 @@ def _soonest(part: Part, time: np.ndarray, place: np.ndarray, speed: np.ndarray)
     return float(np.sqrt(np.max(rate / part.jerk))) or np.inf
 
 
-def _curved(parts: Sequence[Part], rough: Sequence[Rough], counts: Sequence[int]) -> list[Law]:
+def _curved(parts: Sequence[Part], rough: Sequence[Rough], counts: Sequence[int], hasty: bool) -> list[Law]:
     """The laws along parts, each in so many moments, from rough ones whose accelerations jump."""
-    every = [_Turns(*each) for each in zip(parts, rough, counts, strict=True)]
+    every = [_Turns(*each, hasty) for each in zip(parts, rough, counts, strict=True)]
     while open_ := [each for each in every if not each.ended]:
         known = known_motions([x.part for x in open_], [x.known for x in open_], [x.share for x in open_])
         for each, motion in zip(open_, known, strict=True):

@@ -28,10 +28,12 @@ class Hit(NamedTuple):
 
 
 class Chords(NamedTuple):
-    """The places (c + 1,) between which a path is proven, and how much more than the margin a chord over the whole of each part
-    needs for each square of its way (c,)."""
+    """The chords of a path, or rows of some: the places (..., c + 1) at which they meet [of its way], the configurations `q`
+    (..., c + 1, n) there, and how much more than the margin a chord over the whole of each part needs for each square of its
+    way (..., c)."""
 
     places: np.ndarray
+    q: np.ndarray
     bends: np.ndarray
 
     @classmethod
@@ -47,31 +49,72 @@ class Chords(NamedTuple):
         piece = np.repeat(np.arange(len(some)), counts)
         number = np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts)
         begins = (np.cumsum(lengths) - lengths)[piece] + number / counts[piece] * lengths[piece]
-        return cls(np.append(begins, lengths.sum()), bends[piece])
+        return cls.through(path, np.append(begins, lengths.sum()), bends[piece])
+
+    @classmethod
+    def through(cls, path: JointPath, places: np.ndarray, bends: np.ndarray) -> Chords:
+        """The chords of a path that meet at such places."""
+        return cls(places, np.asarray(path_at(np, path, places)[0]), bends)
+
+    def between(self, first: float, last: float) -> Chords:
+        """Those of them that have something between two places."""
+        begin = max(int(np.searchsorted(self.places, first, side="right")) - 1, 0)
+        end = max(int(np.searchsorted(self.places, last)), begin)
+        return Chords(self.places[begin : end + 1], self.q[begin : end + 1], self.bends[begin:end])
+
+
+class Part(NamedTuple):
+    """A part of the path of a run, which has a `number`: chords that cover what is between the places `first` and `last`."""
+
+    number: int
+    path: JointPath
+    first: float
+    last: float
+    chords: Chords
+
+    @classmethod
+    def left(cls, number: int, run: Run, time: float, weights: np.ndarray) -> Part:
+        """The part of a run that is left at a time [s]."""
+        first, last = run.trajectory.places_at([run.own_time(time), run.own_end]).tolist()
+        return cls(number, run.trajectory.path, first, last, _chords(run, weights).between(first, last))
+
+    def finer(self, some: np.ndarray) -> Part:
+        """The parts of it that some chords cover, each a row of finer chords."""
+        places, bends = self.chords.places, self.chords.bends[some]
+        begin, end = np.maximum(places[some], self.first), np.minimum(places[some + 1], self.last)
+        places = np.linspace(begin, end, FINER + 1, axis=-1)
+        return self._replace(chords=Chords.through(self.path, places, np.repeat(bends[:, None], FINER, axis=1)))
 
 
 def first_hit(space: CollisionChecker, course: Course, time: float) -> Hit | None:
     """The end of what is proven of a course from a time on [s]; None where all of it is."""
-    rows = [row for k, run in enumerate(course.runs) if run.end > time for row in _rows(space, k, run, time)]
-    if not rows:
+    left = [Part.left(k, run, time, space.weights) for k, run in enumerate(course.runs) if run.end > time]
+    free = _proven(space, left, RESOLUTION)
+    if all(each.all() for each in free):
         return None
-    number, begin, end, bend = (np.array(x) for x in zip(*rows, strict=True))
-    for i in np.flatnonzero(~_proven(space, course, number, begin, end, bend, RESOLUTION)).tolist():
-        places = np.linspace(*_within(course.runs[number[i]], begin[i], end[i], time), FINER + 1)
-        of = np.full(FINER, number[i])
-        free = _proven(space, course, of, places[:-1], places[1:], np.full(FINER, bend[i]), CLOSE)
-        if not free.all():
-            first = int(np.argmin(free))
-            return Hit(int(number[i]), float(places[first]), _at(course.runs[number[i]], places[first + 1 : first + 2])[0])
+    finer = [part.finer(np.flatnonzero(~each)) for part, each in zip(left, free, strict=True)]
+    for part, each in zip(finer, _proven(space, finer, CLOSE), strict=True):
+        if not each.all():
+            row, k = np.argwhere(~each)[0].tolist()
+            return Hit(part.number, float(part.chords.places[row, k]), part.chords.q[row, k + 1])
     return None
 
 
-def _rows(space: CollisionChecker, number: int, run: Run, time: float) -> list[tuple[int, float, float, float]]:
-    """The chords of a run that are not behind it: its number, the places at which each begins and ends, and its bend."""
-    places, bends = _chords(run, space.weights)
-    first, last = _span(run, time)
-    some = np.flatnonzero((places[1:] > first) & (places[:-1] < last))
-    return [(number, places[i], places[i + 1], bends[i]) for i in some.tolist()]
+def _proven(space: CollisionChecker, parts: list[Part], resolution: float) -> list[np.ndarray]:
+    """Whether the chords of each part are proven to keep the margin (..., c), all of them together."""
+    if not parts:
+        return []
+    n = parts[0].chords.q.shape[-1]
+    rows = [(c.q[..., :-1, :].reshape(-1, n), c.q[..., 1:, :].reshape(-1, n), _needs(c).ravel()) for *_, c in parts]
+    begin, end, needs = (np.concatenate(x) for x in zip(*rows, strict=True))
+    free = space.proven(begin, end, needs, resolution)
+    each = np.split(free, np.cumsum([len(some) for *_, some in rows])[:-1])
+    return [x.reshape(part.chords.bends.shape) for x, part in zip(each, parts, strict=True)]
+
+
+def _needs(chords: Chords) -> np.ndarray:
+    """How much more than the margin each chord (..., c) needs [m]."""
+    return np.asarray(chords.bends * np.diff(chords.places) ** 2)
 
 
 def _chords(run: Run, weights: np.ndarray) -> Chords:
@@ -80,36 +123,3 @@ def _chords(run: Run, weights: np.ndarray) -> Chords:
     if known is None:
         vars(run)["_chords"] = known = Chords.of(run.trajectory.path, weights)
     return known
-
-
-def _span(run: Run, time: float) -> tuple[float, float]:
-    """The places between which a run moves from a time on."""
-    first, last = run.trajectory.places_at([run.own_time(time), run.own_end])
-    return float(first), float(last)
-
-
-def _within(run: Run, begin: float, end: float, time: float) -> tuple[float, float]:
-    """The part of a chord that is neither behind a run at a time nor beyond its end."""
-    first, last = _span(run, time)
-    return max(begin, first), min(end, last)
-
-
-def _at(run: Run, places: np.ndarray) -> np.ndarray:
-    return np.asarray(path_at(np, run.trajectory.path, places)[0])
-
-
-def _proven(
-    space: CollisionChecker,
-    course: Course,
-    number: np.ndarray,
-    begin: np.ndarray,
-    end: np.ndarray,
-    bend: np.ndarray,
-    resolution: float,
-) -> np.ndarray:
-    """Whether the chords from place to place of runs of such numbers (c,) are proven."""
-    ends = np.empty((2, len(number), len(course.standing)))
-    for k in np.unique(number).tolist():
-        rows = number == k
-        ends[:, rows] = _at(course.runs[k], np.stack([begin[rows], end[rows]]))
-    return space.proven(ends[0], ends[1], bend * (end - begin) ** 2, resolution)

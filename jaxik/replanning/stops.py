@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
 
-from jaxik.planning.braking import Brake, braking
+from jaxik.planning.braking import Brake, Brakes
 from jaxik.planning.limits import AnyLimits
 from jaxik.pytree import replaced
 from jaxik.replanning.course import Course, Run
@@ -17,12 +16,11 @@ MOMENTS = 257  # of a run, between which the last one is found that is before a 
 WAITS = np.array([0.9, 0.6, 0.3])  # shares of the time for which the braking might wait; the first that is not too long counts
 
 
-@dataclasses.dataclass(frozen=True)
 class Stops:
-    """How runs are braked: their limits, and the share of acceleration and jerk that they leave for it."""
+    """How runs are braked: within limits, by the share of acceleration and jerk that they leave for it."""
 
-    limits: AnyLimits
-    reserve: float
+    def __init__(self, limits: AnyLimits, reserve: float):
+        self.brakes = Brakes(limits, reserve)
 
     def at_once(self, course: Course, now: float) -> Course:
         """The course, braked from a moment on [s]; what has not begun then is left out."""
@@ -37,7 +35,7 @@ class Stops:
         first = halted.runs[hit.run] if len(halted.runs) > hit.run else self._braked(run, 0.0)
         begun, free = max(now - run.begin, 0.0), self._free(run, hit)
         if first.own_end < free:
-            brakes = braking(run.trajectory, begun + WAITS * (free - first.own_end), self.limits, self.reserve)
+            brakes = self.brakes(run.trajectory, begun + WAITS * (free - first.own_end))
             for k in np.flatnonzero(brakes.end <= free)[:1].tolist():
                 later = replaced(run, brake=Brake(*(np.broadcast_to(x, WAITS.shape)[k] for x in brakes)))
                 yield Course(course.standing, (*course.runs[: hit.run], later))
@@ -54,6 +52,6 @@ class Stops:
         """The run, braked from such a time after its beginning on; as it is where it brakes already, or ends sooner."""
         if run.brake is not None and since >= run.brake.start:
             return run
-        brake = braking(run.trajectory, since, self.limits, self.reserve)
+        brake = self.brakes(run.trajectory, since)
         ends_sooner = brake.end >= run.own_end
         return run if ends_sooner else replaced(run, brake=brake)

@@ -61,7 +61,7 @@ def in_blocks(
     wide = jnp.result_type(float) == np.float64 if double is None else double
     made = rows or (lambda *columns: columns)
     if isinstance(function, HostKernel):
-        kernel, function = function, function.by_xla
+        kernel, function = function, functools.partial(function.now_by_xla, double=double)
         try:
             if rows is None:
                 return kernel.run(*columns, *fixed, double=double, threads=threads(), team=cores())

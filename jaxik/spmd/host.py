@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxik.garbage import uncollected
@@ -56,15 +57,16 @@ class HostKernel:
         try:
             return self.run(*args, double=double)
         except Unsupported:
-            pass
-        if double is None:
-            return self._now_by_xla(*args)
-        width = np.dtype(np.float64 if double else np.float32)
-        with jax.enable_x64(double):
-            return self._now_by_xla(*jax.tree_util.tree_map(lambda x: as_operand(x, width), args))
+            return self.now_by_xla(*args, double=double)
 
-    def _now_by_xla(self, *args: Any) -> list[np.ndarray]:
-        with jax.ensure_compile_time_eval():  # also where what calls is being traced: a robot's closed forms are found then
+    def now_by_xla(self, *args: Any, double: bool | None = None) -> list[np.ndarray]:
+        """The same by XLA, also where there is a kernel."""
+        if double is not None:
+            width = np.dtype(np.float64 if double else np.float32)
+            args = jax.tree_util.tree_map(lambda x: as_operand(x, width), args)
+        wide = jnp.result_type(float) == np.float64 if double is None else double
+        with jax.enable_x64(wide), jax.ensure_compile_time_eval():
+            # now, also where what calls is being traced: a robot's closed forms are found then
             return [np.asarray(x) for x in jax.tree_util.tree_leaves(self.by_xla(*args))]
 
     def run(

@@ -4,7 +4,12 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+from jax import lax
+
+from jaxik.spmd import HostKernel, batch
+from jaxik.spmd.program import Unsupported
 
 WHILE_MADE = """
 import gc, os, signal, threading
@@ -69,3 +74,21 @@ def test_threads_live_in_a_fork(code):
     """The fork of a process whose threads have run, with work under way, begins its own anew. JAX's do not, and it warns."""
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert found.stdout == "child 0\n", (found.stdout, found.stderr)
+
+
+def halved(x, share):
+    return lax.while_loop(lambda state: state > 2.0, lambda state: share * state, x[0])
+
+
+def refused(*args, **options):
+    raise Unsupported("no kernel, for once")
+
+
+@pytest.mark.parametrize("double", [False, True])
+def test_floats_of_both_widths_come_in_the_one_that_is_asked(monkeypatch, double):
+    """By XLA, too, for which a loop that carries one width cannot end in another."""
+    monkeypatch.setattr(HostKernel, "run", refused)
+    rows = np.full((3, 1), 5.0, np.float32)
+    (found,) = batch.in_blocks(HostKernel(halved, 1), rows, fixed=(np.float64(0.5),), double=double)
+    assert found.dtype == (np.float64 if double else np.float32)
+    np.testing.assert_array_equal(found, 1.25)
