@@ -152,7 +152,7 @@ def standing_proof(
 
     clear, hits, evaluations = asked(places, off, resolution)
     for row in np.flatnonzero(~np.isnan(hits)).tolist():
-        finer, less = np.linspace(*places[row : row + 2], FINER + 1), np.full(FINER, off[row] / FINER**2)
+        finer, less = np.linspace(places[row], places[row + 1], FINER + 1), np.full(FINER, off[row] / FINER**2)
         near, at, more = asked(finer, less, min(resolution, CLOSE))
         clear[row], evaluations = near.min(), evaluations + more
         if not np.isnan(at).all():

@@ -191,14 +191,15 @@ class Replanner:
 
     def _decided(self, time: float, now: float, changed: bool, asked: bool) -> Event:
         """Decides what to do from a moment `now` on, and takes the course for it."""
-        hit = first_hit(self._space, self._course, time) if changed else None
-        if hit is not None:
-            return self._replanned(time, now, self._stops.before(self._course, hit, now), hit.q)
-        if changed:  # what it was too late for has gone, or is behind
+        looks_on = self._goal is not None and not self._leads and (changed or self._open)
+        if changed or (self._told[1] and (asked or looks_on)):  # what was late is not proven, though the world is as it was
+            hit = first_hit(self._space, self._course, time)
+            if hit is not None:
+                return self._replanned(time, now, self._stops.before(self._course, hit, now), hit.q)
             self._told = self._told[0], False, self._told[2]
         if asked:
             return self._replanned(time, now, [self._stops.at_once(self._course, now)])
-        if self._goal is not None and not self._leads and (changed or self._open):
+        if looks_on:
             return self._replanned(time, now, [self._course], self._told[0])
         return Event.KEPT
 

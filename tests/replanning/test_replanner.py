@@ -115,6 +115,17 @@ def test_what_lands_on_an_arm_that_stands_is_told_until_it_goes(make, table, jud
     assert begin.update(0.0, on).event is Event.BLOCKED  # before there is a goal, too
 
 
+def test_a_new_goal_does_not_make_a_motion_proven(make, table, judge):
+    arm = make()
+    driven(arm, {}, 16, {0: GOAL})
+    ahead = np.asarray(jaxik.forward_kinematics(arm.robot, arm.stopping(16 / RATE).stop))[:3, 3]
+    world = table.with_("fallen", boxes=[[*ahead, 0.15, 0.15, 0.15]])
+    assert arm.update(16 / RATE, world).late
+    arm.go(START)
+    command = arm.update(16.5 / RATE)
+    assert command.late and judge.collides(world, command.course.stop[None]).all()
+
+
 def test_what_was_too_near_is_forgotten_once_it_has_gone(make, table):
     arm = make()
     driven(arm, {}, 16, {0: GOAL})
