@@ -51,7 +51,7 @@ def play(out, folder):
         driver.get(page.url)
         read(driver, "jaxik: panda", "Log")
         driver.find_element(By.XPATH, "//*[text()='Log']").click()
-        read(driver, f"{len(log.records)} updates", "replanned: there is another way to the goal")
+        read(driver, f"{len(log.records)} updates", "replanned: there is a new way to the goal")
         views = [settled(driver, pause=1.0)]
         assert views[0].std() > 10.0, "the page is empty"
         for name, t in (("before", 7.0 / RATE), ("appeared", 8.5 / RATE), ("amid", 0.6 * page.log.duration)):

@@ -20,6 +20,7 @@ CHECKED = "Links that are checked against each other in any case (forearm:hand),
 Checked = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[LINK:LINK|all]...", help=CHECKED)]
 
 
+CLOUD_RADIUS = 0.005  # [m] of the balls around points, which closes a cloud whose points are a centimetre apart
 TASK = 'such as "upright z within 10deg", "pose free yaw within x=5cm" or "position at 0.4,0,0.3"; m and rad unless said'
 
 
@@ -99,16 +100,19 @@ class AroundArguments:
     """A shipped scene or a scene file: obstacles to keep clear of; without one, the robot keeps clear of itself."""
     cloud: Path | None = None
     """Points to keep clear of, too (.ply, .xyz, .pcd, .npy, .npz), in metres in the scene's frame; an object called cloud."""
-    cloud_radius: float = 0.005
-    """The radius of a ball around each of them [m]."""
+    cloud_radius: float | None = None
+    """The radius of a ball around each of them [m], 0.005 where it is not told."""
 
     def around(self) -> jaxik.Scene | None:
-        """The scene with the cloud; None where neither is given."""
+        """The scene with the cloud; None where neither is given. Raises `ValueError` for a radius without a cloud."""
         scene = None if self.scene is None else jaxik.load_scene(self.scene)
         if self.cloud is None:
+            if self.cloud_radius is not None:
+                raise ValueError(f"--cloud-radius is {self.cloud_radius:g}, and there are no points; give them by --cloud")
             return scene
         points = jaxik.files.load_cloud(self.cloud)
-        return (scene or jaxik.make_scene()).with_cloud(points, self.cloud_radius)
+        radius = CLOUD_RADIUS if self.cloud_radius is None else self.cloud_radius
+        return (scene or jaxik.make_scene()).with_cloud(points, radius)
 
 
 @dataclasses.dataclass(kw_only=True)

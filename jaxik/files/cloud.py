@@ -30,7 +30,9 @@ def load_cloud(path: str | Path) -> np.ndarray:
     try:
         points = np.asarray(READERS[kind](content))
     except Exception as error:  # whatever a parser for every variant raises is the file's fault
-        mend = "write points as rows of x, y, z"
+        mend = (
+            "write rows of x y z, with blanks between, and no header" if kind == ".xyz" else "write points as rows of x, y, z"
+        )
         raise LoadError(path, "document", f"cannot be read as {kind[1:].upper()} ({type(error).__name__})", mend) from None
     if points.dtype.kind != "f" or points.ndim != 2 or points.shape[1] != 3:
         raise LoadError(path, "document", f"{points.dtype} of shape {points.shape}", "write floats (n, 3), in metres")

@@ -151,7 +151,7 @@ class Traffic:
         if self.stuck is None:
             return "no timing was found among what moves"
         name = self.moving.names[self.stuck.object] if self.stuck.object >= 0 else "something"
-        return f"no timing was found among what moves; the one that came furthest meets '{name}' at {self.stuck.time:.3g} s"
+        return f"no timing was found among what moves; the one that came furthest meets '{name}' at {self.stuck.time:.2f} s"
 
 
 def joined_paths(first: JointPath, second: JointPath) -> JointPath:

@@ -17,6 +17,7 @@ from jaxik.collision.moving import MovingScene
 from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.kinematics.robot import Robot
+from jaxik.planning.collision_checker import CLOSE
 from jaxik.planning.moving_cells import Course, cells_between, proof
 from jaxik.planning.moving_distances import MovingDistances
 from jaxik.planning.trajectory import JointPath, Trajectory, path_at, place_at
@@ -27,6 +28,7 @@ from jaxik.spmd.host import host_kernels
 RESOLUTION = 1e-3  # [m]
 OFF = 2e-4  # [m] that a chord may be off its path, where no more than MANY are needed for that
 MANY = 64  # chords of a piece
+FINER = 16  # parts of a chord that is not proven
 BEYOND = 60.0  # [s] after a motion's end, for which it is looked at what never settles
 
 
@@ -130,25 +132,33 @@ class StandingProof(NamedTuple):
 def standing_proof(
     robot: Robot, scene: Scene, trajectory: Trajectory, first: float, margin: float, resolution: float, enough: float
 ) -> StandingProof:
-    """Proves the path of a motion from one of its own times [s] on by chords, each of which the path is near."""
+    """Proves the path of a motion from one of its own times [s] on by chords, each of which the path is near. What they do not
+    prove is looked at as closely as a planner does, whose ways may keep hardly more than the margin."""
     alone, carried = apart(robot)
     begin = float(place_at(np, trajectory, np.asarray(first))[1])
     places, off = chords(trajectory.path, joint_reaches(robot))
     keep = np.flatnonzero(places[1:] >= begin)
     places, off = np.maximum(places[np.append(keep, keep[-1] + 1)], begin), off[keep]
-    q = path_at(np, trajectory.path, places)[0]
-    shared = np.float32(resolution), np.float32(size_of(scene))
-    rows = [np.asarray(x, np.float32) for x in (q[:-1], q[1:], margin + off, np.minimum(enough, 1e6) + off)]
-    around = jax.tree_util.tree_map(np.asarray, grouped(scene, alone))
-    found = in_blocks(_chords(alone), *rows, fixed=(*shared, around, carried), double=False)
-    clear, contact, counts = found
-    hit = ~(contact > 1.0)
-    bound = float(np.min(clear - off, initial=np.inf))
-    if not hit.any():
-        return StandingProof(bound, np.inf, int(counts.sum()))
-    row = int(np.argmax(hit))
-    place = places[row] + np.nan_to_num(contact[row]) * (places[row + 1] - places[row])
-    return StandingProof(min(bound, margin), max(first, _when(trajectory, place)), int(counts.sum()))
+    size, around = np.float32(size_of(scene)), jax.tree_util.tree_map(np.asarray, grouped(scene, alone))
+
+    def asked(places: np.ndarray, off: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray, int]:
+        """The clearances between places (c,), which of them are not proven, as a place or NaN, and the configurations."""
+        q = path_at(np, trajectory.path, places)[0]
+        rows = [np.asarray(x, np.float32) for x in (q[:-1], q[1:], margin + off, np.minimum(enough, 1e6) + off)]
+        fixed = np.float32(resolution), size, around, carried
+        clear, contact, counts = in_blocks(_chords(alone), *rows, fixed=fixed, double=False)
+        hits = np.where(contact > 1.0, np.nan, places[:-1] + np.nan_to_num(contact) * np.diff(places))
+        return clear - off, hits, int(counts.sum())
+
+    clear, hits, evaluations = asked(places, off, resolution)
+    for row in np.flatnonzero(~np.isnan(hits)).tolist():
+        finer, less = np.linspace(places[row], places[row + 1], FINER + 1), np.full(FINER, off[row] / FINER**2)
+        near, at, more = asked(finer, less, min(resolution, CLOSE))
+        clear[row], evaluations = near.min(), evaluations + more
+        if not np.isnan(at).all():
+            when = _when(trajectory, float(np.nanmin(at)))
+            return StandingProof(min(float(clear.min()), margin), max(first, when), evaluations)
+    return StandingProof(float(np.min(clear, initial=np.inf)), np.inf, evaluations)
 
 
 def chords(path: JointPath, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

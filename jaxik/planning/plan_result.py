@@ -138,7 +138,9 @@ class PlanResult(Result):
         told += [str(each) for each in (self.off, self.meets) if each]
         if self.offenders and self.where:
             worst, more = self.offenders[0], len(self.offenders) - 1
+            near = self.reason == Reason.COLLISION and worst.distance >= 0.0 and self.planned_in is not None
             told.append(f"{worst}" + f", and {more} more" * bool(more))
+            told += [f"less than the margin of {1e3 * self.planned_in.margin:g} mm"] * near
             mend = "" if reason == Reason.COLLISION else mend
         elif not self.where and np.isfinite(self.gap):
             told.append(self._came())

@@ -22,15 +22,15 @@ class Event(enum.StrEnum):
     """The kinds of what an update does."""
 
     KEPT = enum.auto()  # the motion goes on
-    REPLANNED = enum.auto()  # another way to the goal
+    REPLANNED = enum.auto()  # a new way to the goal
     STOPPING = enum.auto()  # it brakes, and there is no way to the goal yet
-    BLOCKED = enum.auto()  # it stands, and there is no way to the goal
+    BLOCKED = enum.auto()  # it stands, and there is no way to the goal, or something is too near (`late`)
     ARRIVED = enum.auto()  # it stands in the goal, or where it was made while there is none
 
 
 WORDS = {
     Event.KEPT: "the motion is proven in the world as it is",
-    Event.REPLANNED: "there is another way to the goal",
+    Event.REPLANNED: "there is a new way to the goal",
     Event.STOPPING: "the robot brakes, and no way to the goal is known",
     Event.BLOCKED: "the robot stands, and no way to the goal is known",
     Event.ARRIVED: "the robot stands where it is to go",
@@ -61,7 +61,7 @@ class Command(Pytree):
 
     hit (n,): a configuration near which the course before met something; None where it met nothing.
     late: whether that is so near that the robot cannot stop before it: it brakes as soon as it can, and what is left of its way
-        is not proven.
+        is not proven; or it stands, and something is nearer than the margin. A course that is not late is proven.
     refusal: why no way to the goal is known; None where there is one.
     place: the robot, the world and the margin, in which `why` is looked up when it is first asked for.
     """
@@ -90,13 +90,18 @@ class Command(Pytree):
     def why(self) -> str:
         """The words that say what the update did, and what stands in the way."""
         words = [WORDS[self.event]]
-        if self.event in (Event.KEPT, Event.ARRIVED):
+        if self.event in (Event.KEPT, Event.ARRIVED) and not self.late:
             return words[0]
+        stands = self.late and self.event is Event.BLOCKED
+        if self.late and self.event is Event.KEPT:
+            words = ["the motion goes on, and is not proven"]
+        elif stands:
+            words = ["the robot stands too near to something"]
         if self.hit is not None and self.place is not None:
             near = explain(self.place.robot, self.place.scene, self.hit, count=1).contacts
-            words += [f"on the former way {near[0]}"] if near else []
-        words += ["which is too near to stop before it"] * self.late
-        if self.refusal is not None and self.place is not None:
+            words += [f"{'on the former way ' * (not stands)}{near[0]}"] if near else []
+        words += ["which is too near to stop before it"] * (self.late and not stands)
+        if self.refusal is not None and self.place is not None and not (stands and self.refusal.where == "start"):
             words.append(self.refusal.why(self.place))
         return "; ".join(words)
 

@@ -102,6 +102,8 @@ def load_log(path: str | Path) -> Log:
     path = Path(path)
     try:
         lines = path.read_text(encoding="utf-8").split("\n")[:-1]  # what is behind the last end of a line was cut off
+        if not lines:
+            raise ValueError("it has no whole line, of which the first tells the robot")
         head, *rest = map(json.loads, lines)
         if head["form"] != FORM:
             raise ValueError(f"form {shown(head['form'])}, which this version does not read")

@@ -44,7 +44,8 @@ class Replanner:
     left of the motion in the new world. Where something stands in its way, the motion is braked along its own path before that,
     and goes on by a way that is planned from where it will come to rest; so it is when the goal changes. Where no way is found
     the robot stops, and each update looks on. What appears within the distance in which the robot can stop is not avoided: it
-    brakes as soon as it can, and the command says so (`late`).
+    brakes as soon as it can, and the command says so (`late`); so it is of what comes nearer than the margin to a robot that
+    stands.
 
     Limits of velocity, acceleration and jerk hold at every moment, also through changes. `options` and keywords are those of
     `ReplanOptions`; the scene's room (`Scene.with_room`) says for how many things programs are compiled, once. Commands follow
@@ -94,7 +95,8 @@ class Replanner:
 
     def __repr__(self) -> str:
         goal = "no goal" if self._goal is None else f"goal={shown(self._goal)}"
-        return f"Replanner({shown(self.robot)}, {goal}, time={self._time:g})"
+        time = f"time={self._time:g}" if np.isfinite(self._time) else "no update yet"
+        return f"Replanner({shown(self.robot)}, {goal}, {time})"
 
     @property
     def scene(self) -> Scene | None:
@@ -102,8 +104,9 @@ class Replanner:
         return self._scene
 
     def go(self, goal: Any) -> None:
-        """Sets the goal, a configuration (n,) or a pose of the tip `base_T_tip` (4, 4) [m]; the next update plans. Raises
-        `ValueError` for other shapes, NaN, and a configuration outside of the limits."""
+        """Sets the goal, a configuration (n,) or a pose of the tip `base_T_tip` (4, 4) [m]; the next update plans, from
+        where the robot comes to rest. The goal that it is on its way to changes nothing. Raises `ValueError` for other shapes,
+        NaN, and a configuration outside of the limits."""
         who, n = "Replanner.go: goal", self.robot.num_joints
         goal = numbers(who, goal, (n,), (4, 4), finite=True)
         if goal.ndim == 2:
@@ -111,7 +114,9 @@ class Replanner:
                 raise ValueError(f"{who} is no rigid frame; allowed: a right-handed rotation, and 0 0 0 1 below")
         else:
             _inside(who, self.robot, goal)
-        self._goal, self._asked = goal, True
+        known = self._goal is not None and np.array_equal(goal, self._goal)
+        if not (known and self._leads):  # a motion to it need not brake for it
+            self._goal, self._asked = goal, True
 
     def at(self, times: Any) -> Motion:
         """The set points at times () or (i,) [s] from the last update on: q, velocity and acceleration."""
@@ -125,7 +130,7 @@ class Replanner:
         event = self._decided(time, time + self.options.latency, changed, asked)
         if event is Event.KEPT and not self._course.moves_at(time):
             arrived = self._leads or self._goal is None
-            event = Event.ARRIVED if arrived else Event.BLOCKED
+            event = Event.BLOCKED if self._touched() or not arrived else Event.ARRIVED
         elif event is Event.KEPT and not self._leads:
             event = Event.STOPPING
         place = place_of(self.robot, self._scene, self.options.margin, self._space.weights)
@@ -135,8 +140,10 @@ class Replanner:
         return command
 
     def stopping(self, time: float) -> Course:
-        """The course that the robot would run if it were told at a time [s] to brake."""
-        return self._stops.at_once(self._course, float(time) + self.options.latency)
+        """The course that the robot would run if it were told at a time [s] to brake. Raises `ValueError` for a time that is no
+        finite number."""
+        time = float(numbers("Replanner.stopping: time", time, (), finite=True))
+        return self._stops.at_once(self._course, time + self.options.latency)
 
     @classmethod
     def replay(cls, path: str | Path) -> tuple[Log, list[Command]]:
@@ -175,14 +182,24 @@ class Replanner:
         self._space, self._scene = space, own
         return not all(map(np.array_equal, world.around.rows, before.around.rows))
 
+    def _touched(self) -> bool:
+        """Whether the world comes nearer than the margin to the robot where it stands, which is then told."""
+        stop, (hit, _, refusal) = self._course.stop, self._told
+        late = bool(self._space.hits(stop[None])[0])
+        self._told = stop if late else hit, late, refusal
+        return late
+
     def _decided(self, time: float, now: float, changed: bool, asked: bool) -> Event:
         """Decides what to do from a moment `now` on, and takes the course for it."""
-        hit = first_hit(self._space, self._course, time) if changed else None
-        if hit is not None:
-            return self._replanned(time, now, self._stops.before(self._course, hit, now), hit.q)
+        looks_on = self._goal is not None and not self._leads and (changed or self._open)
+        if changed or (self._told[1] and (asked or looks_on)):  # what was late is not proven, though the world is as it was
+            hit = first_hit(self._space, self._course, time)
+            if hit is not None:
+                return self._replanned(time, now, self._stops.before(self._course, hit, now), hit.q)
+            self._told = self._told[0], False, self._told[2]
         if asked:
             return self._replanned(time, now, [self._stops.at_once(self._course, now)])
-        if self._goal is not None and not self._leads and (changed or self._open):
+        if looks_on:
             return self._replanned(time, now, [self._course], self._told[0])
         return Event.KEPT
 

@@ -24,6 +24,7 @@ def warm_up(robot: Robot, space: CollisionChecker, scene: Scene | None, q: np.nd
     """Proves, searches, times and plans once, near a configuration (n,), so that nothing is compiled later."""
     near = np.where(q + ASIDE <= robot.upper, q + ASIDE, q - ASIDE)
     space.prepare()
+    space.hits(q[None])
     proven_ways(space, q[None], [near[None]], 0, np.array([64]))
     tips = tip_limits("Replanner", robot, planned["tip_speed"], planned["tip_turn"])
     pace = Pace(Limits(planned["velocity"], planned["acceleration"]), planned["jerk"], tips, planned["places"])

@@ -1,6 +1,8 @@
 """Motions among what moves: proofs beside samples a millisecond apart, judged by coal, and with every braking of them."""
 
 import coal
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -102,6 +104,18 @@ def test_a_motion_is_safe_until_the_ball_comes(arm):
     assert (1.3 - reach - 3e-3) / 0.05 <= until <= (1.3 - reach) / 0.05
     away = Track.steady(jaxik.pose([1.3, 0.0, 0.0]), velocity=[1.0, 0.0, 0.0])
     assert safe_until(robot, MovingScene(BALL, {"ball": away}), stands, 0.0) == 1.0 + 60.0
+
+
+def test_a_motion_that_keeps_hardly_more_than_its_margin_is_safe(arm):
+    robot, away = arm[0], Track.steady(jaxik.pose([9.0, 0.0, 0.0]))
+    moving, still = MovingScene(WALLED, {"ball": away}), MovingScene(WALLED, {"ball": away}).standing
+    found = plan_motion(robot, START, GOAL, scene=still, velocity=VELOCITY, acceleration=ACCELERATION)
+    q = jnp.asarray(found.trajectory.sample(1e-3).q)
+    least = float(jax.vmap(lambda q: jaxik.clearance(robot, still, q))(q).min())
+    for spare, free in ((1e-4, True), (-1e-4, False)):
+        given = {"margin": least - spare}
+        assert trajectory_clearance(robot, moving, found.trajectory, **given).free == free
+        assert (safe_until(robot, moving, found.trajectory, 0.0, **given) == np.inf) == free
 
 
 @pytest.mark.parametrize("jerk", [None, 80.0])

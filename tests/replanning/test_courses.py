@@ -124,6 +124,9 @@ def test_scenes_of_all_kinds_are_written_to_the_last_bit(table):
 
 def test_what_is_no_log_is_refused(tmp_path):
     path = tmp_path / "other.jsonl"
+    path.write_text("cut")
+    with pytest.raises(ValueError, match="no whole line, of which the first tells the robot"):
+        load_log(path)
     for text in ("", "{}\n", "no\n", json.dumps({"form": 9}) + "\n", json.dumps({"form": 1, "robot": "x"}) + "\n"):
         path.write_text(text)
         with pytest.raises(ValueError, match=r"load_log: .*other.jsonl is no log"):

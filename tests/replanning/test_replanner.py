@@ -77,6 +77,15 @@ def test_the_goal_may_change_on_the_way_and_be_a_pose(make):
     check_limits(points)
 
 
+def test_the_same_goal_again_does_not_brake(make):
+    once, often = make(), make()
+    once.go(GOAL)
+    course = once.update(0.0).course
+    for k in range(4):
+        often.go(GOAL)
+        assert often.update(k / RATE).course == course
+
+
 def test_what_falls_into_the_braking_distance_is_told(make, table, judge):
     arm = make()
     driven(arm, {}, 16, {0: GOAL})
@@ -90,6 +99,42 @@ def test_what_falls_into_the_braking_distance_is_told(make, table, judge):
     np.testing.assert_array_equal(arm.at(now + 5.0).q, stop.stop)
     assert arm.update(now + 5.0).event is Event.BLOCKED
     assert arm.update(now + 5.1, table).event is Event.REPLANNED
+
+
+def test_what_lands_on_an_arm_that_stands_is_told_until_it_goes(make, table, judge):
+    arm, begin = make(), make()
+    on = table.with_("fallen", boxes=[[*np.asarray(jaxik.forward_kinematics(arm.robot, GOAL))[:3, 3], 0.1, 0.1, 0.1]])
+    driven(arm, {}, 120, {0: GOAL})
+    assert arm.update(5.0).event is Event.ARRIVED
+    for command in (arm.update(5.1, on), arm.update(5.2)):
+        assert command.event is Event.BLOCKED and command.late and judge.collides(on, command.hit[None]).all()
+        assert command.why.startswith("the robot stands too near") and "fallen" in command.why
+    gone = arm.update(5.3, table)
+    assert gone.event is Event.ARRIVED and not gone.late
+    on = table.with_("fallen", boxes=[[*np.asarray(jaxik.forward_kinematics(arm.robot, START))[:3, 3], 0.1, 0.1, 0.1]])
+    assert begin.update(0.0, on).event is Event.BLOCKED  # before there is a goal, too
+
+
+def test_a_new_goal_does_not_make_a_motion_proven(make, table, judge):
+    arm = make()
+    driven(arm, {}, 16, {0: GOAL})
+    ahead = np.asarray(jaxik.forward_kinematics(arm.robot, arm.stopping(16 / RATE).stop))[:3, 3]
+    world = table.with_("fallen", boxes=[[*ahead, 0.15, 0.15, 0.15]])
+    assert arm.update(16 / RATE, world).late
+    arm.go(START)
+    command = arm.update(16.5 / RATE)
+    assert command.late and judge.collides(world, command.course.stop[None]).all()
+
+
+def test_what_was_too_near_is_forgotten_once_it_has_gone(make, table):
+    arm = make()
+    driven(arm, {}, 16, {0: GOAL})
+    ahead = np.asarray(jaxik.forward_kinematics(arm.robot, arm.at(17 / RATE).q))[:3, 3]
+    late = arm.update(16 / RATE, table.with_("fallen", spheres=[[*ahead, 0.05]]))
+    again = arm.update(16.1 / RATE)
+    assert late.late and again.late and "proven in the world" not in again.why
+    gone = arm.update(16.2 / RATE, table)
+    assert not gone.late and gone.course.moves_at(16.2 / RATE)
 
 
 def test_nothing_changes_within_the_latency(make, table):
@@ -111,6 +156,7 @@ def test_what_is_refused_leaves_the_motion_as_it_was(make, table):
         (lambda: arm.update(0.9), r"time 0.9 s after 1 s; a clock does not go backwards"),
         (lambda: arm.update(np.nan), r"time.* nan; write finite numbers"),
         (lambda: arm.update("now"), r"no array of numbers"),
+        (lambda: arm.stopping(np.nan), r"stopping: time.* nan"),
         (lambda: arm.update(1.1, "a scene"), r"scene"),
         (lambda: arm.update(1.1, table.with_("can", cylinders=[[0.5, 0.0, 0.3, 0.1, 0.1]])), r"Scene.with_room"),
         (lambda: arm.go(beyond), r"goal: panda_joint1 is 9; allowed: -2.8973 to 2.8973"),
