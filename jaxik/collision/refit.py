@@ -47,7 +47,7 @@ class Groups:
 
     @functools.cached_property
     def _apart(self) -> dict[tuple[int, ...], _Apart]:
-        """What is known of objects that have moved together."""
+        """The rest of the trees without objects that have moved together, and where these are."""
         return {}
 
     def changed(self, scene: Scene, changes: Sequence[Change]) -> Groups | None:
