@@ -131,9 +131,9 @@ def by_coal(robot: jaxik.Robot, points: np.ndarray, q: np.ndarray) -> dict[str, 
 
 
 def by_vamp(points: np.ndarray, q: np.ndarray) -> dict[str, float] | None:
-    """VAMP's collision-affording point tree, and whether its own Panda of balls hits: of a vector of eight samples, as its planners
-    ask, of some free configurations. Its call from Python copies the tree, so two long ways that stand still are compared. None
-    where it is not installed, or the tree is too large."""
+    """VAMP's collision-affording point tree, and whether its own Panda of balls hits: of a vector of eight samples, as its
+    planners ask, of some free configurations. Its call from Python copies the tree, so two ways that stand still are compared.
+    None where it is not installed, or the tree is too large."""
     if importlib.util.find_spec("vamp") is None or len(points) > VAMP_MOST:
         return None
     import vamp

@@ -10,7 +10,7 @@ from tables.words import duration
 def clouds_markdown(result: dict[str, Any]) -> str:
     """A row for each cloud: what jaxik takes, and the peers; then the check by brute force, and motions."""
     lines = [
-        "| points | built; replaced | clearance | yes or no | SciPy: built; asked | coal: the same | VAMP: built; eight, yes or no |",
+        "| points | built; replaced | clearance | yes or no | SciPy: built; asked | coal: the same | VAMP: built; yes or no |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in result["clouds"]:
