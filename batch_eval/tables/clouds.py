@@ -10,13 +10,13 @@ from tables.words import duration
 def clouds_markdown(result: dict[str, Any]) -> str:
     """A row for each cloud: what jaxik takes, and the peers; then the check by brute force, and motions."""
     lines = [
-        "| points | built; replaced | clearance | yes or no | SciPy: built; asked | coal: the same | VAMP: the same |",
+        "| points | built; replaced | clearance | yes or no | SciPy: built; asked | coal: the same | VAMP: built; yes or no |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in result["clouds"]:
         ours = row["jaxik"]
         peers = [duration_of(row[name], "build_s", "clearance_s") for name in ("scipy", "coal")]
-        peers.append(duration_of(row["vamp"], "build_s", "collides_s"))
+        peers.append(duration_of(row["vamp"], "build_s", "eight_s"))
         own = f"{both(ours, 'build_s', 'replace_s')} | {told(ours['clearance_s'])} | {told(ours['collides_s'])}"
         lines.append(f"| {row['points']:,} | {own} | {' | '.join(peers)} |")
     checked = result["checked"]

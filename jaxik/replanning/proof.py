@@ -57,7 +57,7 @@ class Chords(NamedTuple):
         return cls(places, np.asarray(path_at(np, path, places)[0]), bends)
 
     def between(self, first: float, last: float) -> Chords:
-        """Those of them that have something between two places."""
+        """The chords that have something between two places."""
         begin = max(int(np.searchsorted(self.places, first, side="right")) - 1, 0)
         end = max(int(np.searchsorted(self.places, last)), begin)
         return Chords(self.places[begin : end + 1], self.q[begin : end + 1], self.bends[begin:end])

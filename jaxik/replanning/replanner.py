@@ -20,7 +20,7 @@ from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.limits import limit_of, motion_limits
 from jaxik.planning.planner import plan_motion
 from jaxik.planning.world import World
-from jaxik.pytree import replaced
+from jaxik.pytree import read_only, replaced
 from jaxik.reasons import Reason
 from jaxik.replanning.command import Command, Event, Refusal, place_of
 from jaxik.replanning.course import Course
@@ -86,7 +86,7 @@ class Replanner:
         self._planned |= {"jerk": None if jerk is None else left * jerk}
         self._scene = None if scene is None else replaced(scene)
         self._space = CollisionChecker(robot, self._scene, self.options.margin)
-        self._course, self._time, self._tries = Course(q), -np.inf, 0
+        self._course, self._time, self._tries = Course(read_only(q)), -np.inf, 0
         self._goal: np.ndarray | None = None
         self._asked = self._leads = self._open = False  # a new goal; the course leads to it; else, whether to search on
         self._told: tuple[Any, bool, Refusal | None] = None, False, None  # hit, late, refusal: why the course is this one

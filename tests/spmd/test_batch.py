@@ -86,7 +86,7 @@ def refused(*args, **options):
 
 @pytest.mark.parametrize("double", [False, True])
 def test_floats_of_both_widths_come_in_the_one_that_is_asked(monkeypatch, double):
-    """By XLA, too, for which a loop that carries one width cannot end in another."""
+    """A loop by XLA that carries one width cannot end in another."""
     monkeypatch.setattr(HostKernel, "run", refused)
     rows = np.full((3, 1), 5.0, np.float32)
     (found,) = batch.in_blocks(HostKernel(halved, 1), rows, fixed=(np.float64(0.5),), double=double)
