@@ -51,10 +51,10 @@ class Prepared(Handle):
         that these have, and no more of them than they have room for; and in the place of robots with room
         (`collision.with_room`) the same that hold something else, if any are told. Raises `ValueError` for others."""
         scenes = tuple(each for each in models if not isinstance(each, Robot))
-        robots = self._robots_of([each for each in models if isinstance(each, Robot)])
         if len(scenes) != len(self._scenes) or not all(isinstance(each, Scene) for each in scenes):
-            told, wanted = ", ".join(map(shown, scenes)) or "nothing", len(self._scenes)
+            told, wanted = ", ".join(map(shown, models)) or "nothing", len(self._scenes)
             raise ValueError(f"{self.who}: update by {told}; it was prepared with {wanted} scene{'s' * (wanted != 1)}")
+        robots = self._robots_of([each for each in models if isinstance(each, Robot)])
         with self._making:
             around = [grouped_in(scene, self._robot, forms_of(now)) for scene, now in zip(scenes, self._around, strict=True)]
             changed = robots | dict(zip(self._scenes, scenes, strict=True))
