@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -188,9 +189,16 @@ def _join(center: np.ndarray, radius: np.ndarray, mover: _Mover, pose: np.ndarra
     before, reach = center[at], radius[at]
     way = mover.center @ pose[:3].T - before
     apart = np.sqrt(np.einsum("ij,ij->i", way, way))
-    share = 0.5 + 0.5 * (mover.radius - reach) / np.maximum(apart, TINY)  # of the way, that the centre goes
+    own = mover.radius * _stretch(pose)
+    share = 0.5 + 0.5 * (own - reach) / np.maximum(apart, TINY)  # of the way, that the centre goes
     center[at] = before + np.minimum(np.maximum(share, 0.0), 1.0)[:, None] * way
-    radius[at] = np.maximum(np.maximum(0.5 * (apart + mover.radius + reach), reach), mover.radius)
+    radius[at] = np.maximum(np.maximum(0.5 * (apart + own + reach), reach), own)
+
+
+def _stretch(pose: np.ndarray) -> Any:
+    """How much a pose draws lengths out at most: poses are rigid but for rounding, which many motions multiply."""
+    square = np.abs(pose[:3, :3].T @ pose[:3, :3])
+    return max(1.0, math.sqrt(square.sum(axis=1).max()))
 
 
 def _extended(bodies: Any, corners: dict[str, np.ndarray], rows: np.ndarray) -> Any:

@@ -148,6 +148,17 @@ def test_what_moves_stays_inside_its_balls(by_object):
     assert_inside(gone.moved(some[2:], np.stack([pose(rng) for _ in some[2:]])), by_object)
 
 
+def test_what_poses_draw_out_stays_inside_its_balls():
+    """A frame may be rigid to 1e-4 only, as in files: many of them draw out by more than a ball has to spare."""
+    around = lambda p, by: np.block([[by, (p - by @ p)[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
+    now, by = built(objects(9)), around(np.array([0.6, 0.0, 0.5]), np.diag([1.00004, 1.0, 1.00002]))
+    grouped(now, PANDA)
+    for _ in range(100):
+        now = now.moved(["thing 1", "thing 2", "thing 4"], by)
+        grouped(now, PANDA)
+    assert_inside(now, False)
+
+
 def test_what_is_taken_away_and_comes_back_is_there():
     given = objects(7)
     scene = built(given)
