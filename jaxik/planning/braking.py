@@ -169,6 +169,6 @@ def _moving(trajectory: Trajectory, looks: np.ndarray, own: np.ndarray) -> list[
 
     def placed(x: np.ndarray) -> np.ndarray:
         shared = np.broadcast_to(x[: len(looks)], (*own.shape[:2], len(looks), x.shape[-1]))
-        return np.concatenate([shared, x[len(looks) :].reshape(*own.shape, -1)], axis=2)
+        return np.concatenate([shared, x[len(looks) :].reshape(*own.shape, x.shape[-1])], axis=2)
 
     return [placed(found.velocity), placed(found.acceleration)]
