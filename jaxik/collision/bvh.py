@@ -235,7 +235,7 @@ def _solids(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool,
     return Groups(*zip(*found, strict=True)) if found else Groups((), (), ())
 
 
-def _once(solid: Any, asked: tuple[Any, ...]) -> tuple[Obstacles, np.ndarray, np.ndarray]:
+def _once(solid: Any, asked: tuple[Any, ...]) -> tuple[Obstacles, Any, np.ndarray]:
     """`_obstacles` of a known kind of a scene, which keeps the last ones: scenes share the kinds in which nothing changed."""
     _, _, owner, masks, by_object, ignored, form = asked
     key = owner.tobytes(), masks.tobytes(), by_object, ignored, form
@@ -278,7 +278,7 @@ def _obstacles(
     by_object: bool,
     ignored: tuple[tuple[int, str], ...],
     least: Form,
-) -> tuple[Obstacles, np.ndarray, np.ndarray]:
+) -> tuple[Obstacles, Any, np.ndarray]:
     """Obstacles of a kind, of each of their rows but the room behind, which one it was, and of all rows, which object they
     belong to; `masks` of each object, and of what belongs to none, at last."""
     known = is_known(rows)

@@ -35,6 +35,7 @@ from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.ball_trees import balls_of
 from jaxik.collision.bvh import decided_within, grouped, obstacles_in, own_in, pair_tables
 from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_clearances_within
+from jaxik.collision.held import held_by
 from jaxik.collision.leaf_rows import FAR
 from jaxik.collision.obstacle_kinds import KINDS, LIMIT, NODES, SHAPES
 from jaxik.collision.own_shape import CLOSE, told_below
@@ -131,9 +132,13 @@ def motion_bound(
     return _advanced(False, robot, obstacles or None, start, goal, margin, resolution, enough, size)
 
 
-@functools.lru_cache(maxsize=64)
 def joint_reaches(robot: Robot) -> np.ndarray:
     """How far a unit of each joint moves a point of the shapes' skeletons at most, inside the limits (n,) [m/rad, 1]. Host."""
+    return _joint_reaches(jax.tree_util.tree_map(np.asarray, robot) if held_by(robot) else robot)
+
+
+@functools.lru_cache(maxsize=64)
+def _joint_reaches(robot: Robot) -> np.ndarray:
     ends = zip(*(row_values(robot, end.tolist()) for end in robot.finite_limits), strict=True)
     travel = [max(map(abs, each)) if slides else 0.0 for each, slides in zip(ends, robot.tree.slides, strict=True)]
     ways = {link: robot.tree.way(robot.link_joint[link]) for link in solid_links(robot)}

@@ -32,7 +32,7 @@ class Groups:
     (k,) that it belongs to, -1 for none and in the room behind the rows."""
 
     found: tuple[Any, ...]
-    order: tuple[np.ndarray, ...]
+    order: tuple[Any, ...]
     owners: tuple[np.ndarray, ...]
 
     @functools.cached_property

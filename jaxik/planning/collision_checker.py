@@ -55,7 +55,7 @@ class CollisionChecker:
         self.endless = endless(robot)
         self.lower, self.upper = wound(robot, winding)
         self.moves = moves
-        self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, robot) if self.world.body.carried else robot)
+        self.weights = joint_reaches(robot)
         self.checked = 0
 
     def prepare(self) -> None:

@@ -1,8 +1,8 @@
 """The log of a replanner: what it was given and what it did, line by line, so that what was written before a crash stays.
 
 A log is text, one JSON object a line. The first has the robot, the start, the options and the scene; each other one is an
-update: its time, what changed in the scene, the goal where there is a new one, and the command. A course that is as before is
-left out. A last line that was cut off is left out, too.
+update: its time, what changed in the scene and in what the robot holds, the goal where there is a new one, and the command. A
+course that is as before is left out. A last line that was cut off is left out, too.
 """
 
 from __future__ import annotations
@@ -14,13 +14,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.options import shown
 from jaxik.collision.continuous_collision import joint_reaches
+from jaxik.collision.held import apart, together
 from jaxik.collision.scene import Scene
 from jaxik.files import load, save
 from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.shapes import Volume
 from jaxik.replanning.command import Command, Event, place_of
 from jaxik.replanning.course import Course
 from jaxik.replanning.records import decoded, difference, encoded, merged
@@ -32,12 +35,13 @@ FORM = 1  # of the file
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Record:
-    """An update: its `time` [s], the `scene` as it was then, whether it `changed` with this update, the new `goal`, if there is
-    one, and the `command` that was answered."""
+    """An update: its `time` [s], the `scene` as it was then, whether it `changed` with this update, the `robot` with what it
+    held, the new `goal`, if there is one, and the `command` that was answered."""
 
     time: float
     scene: Scene | None
     changed: bool
+    robot: Robot
     goal: np.ndarray | None
     command: Command
 
@@ -69,13 +73,21 @@ class LogWriter:
         except OSError as error:
             raise ValueError(f"Replanner: log {path}: {error.strerror}; give the path of a new file") from None
         self._path = path
-        self._scene = encoded(scene)
+        self._scene, self._robot = encoded(scene), robot
         self._course: Course | None = None
-        head = {"jaxik": __version__, "form": FORM, "robot": _as_text(robot), "q": encoded(q), "seed": seed}
+        empty, _ = apart(robot)
+        head = {
+            "jaxik": __version__,
+            "form": FORM,
+            "robot": _as_text(empty),
+            "held": _held(robot),
+            "q": encoded(q),
+            "seed": seed,
+        }
         self._line(head | {"options": dataclasses.asdict(options), "scene": self._scene})
 
-    def write(self, command: Command, goal: np.ndarray | None, scene: Scene | None) -> None:
-        """Writes an update: its command, and the goal and the scene where they are new."""
+    def write(self, command: Command, goal: np.ndarray | None, scene: Scene | None, robot: Robot) -> None:
+        """Writes an update: its command, and the goal, the scene and what the robot holds where they are new."""
         line: dict[str, Any] = {"time": command.time, "event": command.event, "late": command.late}
         line |= {"hit": encoded(command.hit), "refusal": encoded(command.refusal)}
         if goal is not None:
@@ -83,6 +95,9 @@ class LogWriter:
         if scene is not None:
             before, self._scene = self._scene, encoded(scene)
             line["scene"] = difference(before, self._scene)
+        if robot is not self._robot:
+            self._robot = robot
+            line["held"] = _held(robot)
         if command.course is not self._course:
             self._course = command.course
             line["course"] = encoded(command.course)
@@ -107,9 +122,8 @@ def load_log(path: str | Path) -> Log:
         head, *rest = map(json.loads, lines)
         if head["form"] != FORM:
             raise ValueError(f"form {shown(head['form'])}, which this version does not read")
-        robot, options = _as_robot(head["robot"]), ReplanOptions(**_tuples(head["options"]))
-        weights = joint_reaches(robot)
-        records = tuple(_records(rest, head["scene"], robot, options.margin, weights))
+        robot, options = _holding(_as_robot(head["robot"]), head.get("held", [])), ReplanOptions(**_tuples(head["options"]))
+        records = tuple(_records(rest, head["scene"], robot, options.margin))
         return Log(robot, decoded(head["q"]), decoded(head["scene"]), options, int(head["seed"]), records)
     except OSError as error:
         raise ValueError(f"load_log: {path}: {error.strerror}; give a file that Replanner(log=) has written") from None
@@ -117,18 +131,33 @@ def load_log(path: str | Path) -> Log:
         raise ValueError(f"load_log: {path} is no log: {error}; give a file that Replanner(log=) has written") from None
 
 
-def _records(lines: list[dict[str, Any]], told: Any, robot: Robot, margin: float, weights: np.ndarray) -> Iterator[Record]:
+def _records(lines: list[dict[str, Any]], told: Any, robot: Robot, margin: float) -> Iterator[Record]:
     """The records of the lines of updates, after a scene as it was `told` first."""
     scene, course = decoded(told), Course(np.zeros(0))
+    weights = joint_reaches(robot)
     for line in lines:
         if changed := "scene" in line:
             told = merged(told, line["scene"])
             scene = decoded(told)
+        if "held" in line:
+            robot = _holding(robot, line["held"])
+            weights = joint_reaches(robot)
         course = decoded(line["course"]) if "course" in line else course
         place = place_of(robot, scene, margin, weights)
         answer = decoded(line["hit"]), bool(line["late"]), decoded(line["refusal"])
         command = Command(line["time"], Event(line["event"]), course, *answer, place=place)
-        yield Record(line["time"], scene, changed, decoded(line.get("goal")), command)
+        yield Record(line["time"], scene, changed, robot, decoded(line.get("goal")), command)
+
+
+def _held(robot: Robot) -> Any:
+    """The record of what a robot holds in its room: volumes, and their places among its own."""
+    return encoded([*apart(robot)[1].items()])
+
+
+def _holding(robot: Robot, held: Any) -> Robot:
+    """The robot with what is recorded that it holds."""
+    arrays = lambda v: Volume(jnp.asarray(v.corners), jnp.asarray(v.radius), v.link)
+    return together(robot, {place: arrays(volume) for place, volume in decoded(held)})
 
 
 def _as_text(robot: Robot) -> str:

@@ -119,7 +119,7 @@ def _needs(chords: Chords) -> np.ndarray:
 
 def _chords(run: Run, weights: np.ndarray) -> Chords:
     """The chords of a run, which keeps them: each update proves what is left of it."""
-    known: Chords | None = vars(run).get("_chords")
-    if known is None:
-        vars(run)["_chords"] = known = Chords.of(run.trajectory.path, weights)
-    return known
+    known: tuple[np.ndarray, Chords] | None = vars(run).get("_chords")
+    if known is None or not np.array_equal(known[0], weights):  # which change with what the robot holds
+        vars(run)["_chords"] = known = weights, Chords.of(run.trajectory.path, weights)
+    return known[1]

@@ -17,13 +17,16 @@ import numpy as np
 from jaxik.collision import obstacle_kinds
 from jaxik.collision.cloud import Cloud
 from jaxik.collision.scene import Mark, Scene
+from jaxik.kinematics.shapes import Volume
 from jaxik.planning.braking import Brake
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.replanning.command import Refusal
 from jaxik.replanning.course import Course, Run
 
 KINDS = [getattr(obstacle_kinds, kind.capitalize()) for kind in obstacle_kinds.KINDS]
-TYPES = {each.__name__: each for each in (Scene, Mark, Cloud, *KINDS, Brake, JointPath, Trajectory, Run, Course, Refusal)}
+TYPES = {
+    each.__name__: each for each in (Scene, Mark, Cloud, *KINDS, Volume, Brake, JointPath, Trajectory, Run, Course, Refusal)
+}
 ARRAY, TYPE, MISSING = "array", "type", object()
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxik.checks.arrays import is_rigid, numbers
 from jaxik.checks.options import check_kind, check_seed, shown
 from jaxik.collision.clearances import check_geometry
+from jaxik.collision.held import apart
 from jaxik.collision.scene import Scene, check_scene, remembered
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
@@ -53,7 +54,7 @@ class Replanner:
     computes it anew.
 
     Raises `ValueError`, and changes nothing, for arguments of a wrong shape, name or range, times that go backwards, scenes
-    with more than there is room for, and goals outside of the limits.
+    with more than there is room for, another robot, and goals outside of the limits.
     """
 
     def __init__(
@@ -122,10 +123,11 @@ class Replanner:
         """The set points at times () or (i,) [s] from the last update on: q, velocity and acceleration."""
         return self._course.at(times)
 
-    def update(self, time: float, scene: Scene | None = None) -> Command:
-        """Tells the time [s], no earlier than before, and the world if it has changed. Returns the `Command` from then on."""
+    def update(self, time: float, scene: Scene | None = None, *, robot: Robot | None = None) -> Command:
+        """Tells the time [s], no earlier than before, and the world if it has changed; and the `robot`, the same one, if it
+        holds something else in its room (`collision.with_room`). Returns the `Command` from then on."""
         time = self._later(time)
-        changed = self._rebound(scene)
+        changed = self._rebound(scene, robot)
         asked, self._asked, self._time = self._asked, False, time
         event = self._decided(time, time + self.options.latency, changed, asked)
         if event is Event.KEPT and not self._course.moves_at(time):
@@ -136,7 +138,7 @@ class Replanner:
         place = place_of(self.robot, self._scene, self.options.margin, self._space.weights)
         command = Command(time, event, self._course, *self._told, place=place)
         if self._log is not None:
-            self._log.write(command, self._goal if asked else None, scene if changed else None)
+            self._log.write(command, self._goal if asked else None, scene if changed else None, self.robot)
         return command
 
     def stopping(self, time: float) -> Course:
@@ -154,7 +156,7 @@ class Replanner:
         for record in log.records:
             if record.goal is not None:
                 again.go(record.goal)
-            commands.append(again.update(record.time, record.scene if record.changed else None))
+            commands.append(again.update(record.time, record.scene if record.changed else None, robot=record.robot))
         return log, commands
 
     def _later(self, time: Any) -> float:
@@ -163,24 +165,29 @@ class Replanner:
             raise ValueError(f"Replanner.update: time {time:g} s after {self._time:g} s; a clock does not go backwards")
         return time
 
-    def _rebound(self, scene: Scene | None) -> bool:
-        """Takes a world, and tells whether it is another one. Its trees are its own, not fitted from those before, so that the
-        same numbers are the same world in a replay."""
-        check_kind("Replanner.update", "scene", scene, Scene, optional=True)
-        if scene is None:
+    def _rebound(self, scene: Scene | None, robot: Robot | None) -> bool:
+        """Takes a world, and what the robot holds, and tells whether these are others. Its trees are its own, not fitted from
+        those before, so that the same numbers are the same world in a replay."""
+        who = "Replanner.update"
+        check_kind(who, "scene", scene, Scene, optional=True)
+        check_kind(who, "robot", robot, Robot, optional=True)
+        same = robot is None or robot is self.robot
+        if scene is None and same:
             return False
-        own = replaced(scene)
-        remembered(own, "checked", lambda: remembered(scene, "checked", lambda: check_scene(scene)))
-        world, before = World(self.robot, own), self._space.world
+        robot = self.robot if robot is None else robot
+        if not same and apart(robot)[0] != apart(self.robot)[0]:
+            raise ValueError(f"{who}: another robot, {shown(robot.name)}; make a Replanner of it")
+        own = self._scene if scene is None else _own(scene)
+        world, before = World(robot, own), self._space.world
         if _form(world) != _form(before):
             raise ValueError(
-                f"Replanner.update: scene '{scene.name}' takes other programs than those that are compiled; "
+                f"{who}: scene '{scene.name if scene else ''}' takes other programs than those that are compiled; "
                 "make the Replanner with a scene that has room for all that will come (Scene.with_room)"
             )
-        space = copy.copy(self._space)
+        space = copy.copy(self._space) if same else CollisionChecker(robot, own, self.options.margin)
         space.world = world
-        self._space, self._scene = space, own
-        return not all(map(np.array_equal, world.around.rows, before.around.rows))
+        self.robot, self._space, self._scene = robot, space, own
+        return not same or not all(map(np.array_equal, world.around.rows, before.around.rows))
 
     def _touched(self) -> bool:
         """Whether the world comes nearer than the margin to the robot where it stands, which is then told."""
@@ -234,6 +241,13 @@ class Replanner:
         if self._leads:
             self._course = course.since(time)
         return bool(self._leads)
+
+
+def _own(scene: Scene) -> Scene:
+    """The same world, without the trees that were made for others."""
+    own: Scene = replaced(scene)
+    remembered(own, "checked", lambda: remembered(scene, "checked", lambda: check_scene(scene)))
+    return own
 
 
 def _form(world: World) -> Any:

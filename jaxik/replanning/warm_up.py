@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from jaxik.planning.trajectory import JointPath
 from jaxik.planning.ways import proven_ways
 
 PIECES = 4, 8, 16, 32, 64  # of paths, for each of which their timing has a program
+ANYWHERE = np.float32(-1e3)  # [m], a margin that all configurations keep: the robot may begin beside what it is to take
 ASIDE = 0.02  # [rad, m] from the start to a goal, so that there is something to be planned
 
 
@@ -25,7 +27,9 @@ def warm_up(robot: Robot, space: CollisionChecker, scene: Scene | None, q: np.nd
     near = np.where(q + ASIDE <= robot.upper, q + ASIDE, q - ASIDE)
     space.prepare()
     space.hits(q[None])
-    proven_ways(space, q[None], [near[None]], 0, np.array([64]))
+    anywhere = copy.copy(space)
+    anywhere.margin = ANYWHERE
+    proven_ways(anywhere, q[None], [near[None]], 0, np.array([64]))
     tips = tip_limits("Replanner", robot, planned["tip_speed"], planned["tip_turn"])
     pace = Pace(Limits(planned["velocity"], planned["acceleration"]), planned["jerk"], tips, planned["places"])
     for pieces in PIECES:

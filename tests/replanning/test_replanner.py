@@ -1,10 +1,12 @@
 """A plan that keeps up: no set point hits what coal sees, no limit is passed, and nothing is compiled on the way."""
 
+import jax
 import numpy as np
 import pytest
 from panda_at_table import GOAL, LIMITS, MARGIN, RATE, START
 
 import jaxik
+from jaxik.collision import attach, with_room
 from jaxik.replanning import Event
 from jaxik.spmd import call
 
@@ -99,6 +101,34 @@ def test_what_falls_into_the_braking_distance_is_told(make, table, judge):
     np.testing.assert_array_equal(arm.at(now + 5.0).q, stop.stop)
     assert arm.update(now + 5.0).event is Event.BLOCKED
     assert arm.update(now + 5.1, table).event is Event.REPLANNED
+
+
+@pytest.mark.kernels(reason="programs of kernels are counted")
+def test_what_is_taken_up_goes_with_it_and_compiles_nothing(panda, table, monkeypatch, tmp_path):
+    """The judge is a robot with the stick as a link of its own; the log replays."""
+    robot = with_room(panda, spheres=0, capsules=1)
+    x, y, z = np.asarray(jaxik.forward_kinematics(panda, START))[:3, 3]
+    full = table.with_("wall", **WALL)
+    full = full.with_("stick", capsules=[[x, y - 0.15, z - 0.02, x, y + 0.15, z - 0.02, 0.01]]).with_room(
+        boxes=8, spheres=4, capsules=2
+    )
+    arm = jaxik.Replanner(robot, START, scene=full, seed=3, margin=MARGIN, log=tmp_path / "run.jsonl", **LIMITS)
+    held, link = attach(robot, full, "stick", START), attach(panda, full, "stick", START)
+    with monkeypatch.context() as patched:
+        patched.setattr(call, "_make", None)
+        first = arm.update(0.0, held.scene, robot=held.robot)
+        arm.go(GOAL)
+        commands, times = [arm.update(k / RATE) for k in range(1, 4)], np.arange(0.1, 6.0, 0.02)
+        with_stick = arm.at(times).q
+        again = arm.update(times[-1], full, robot=robot)
+    assert first.event is Event.ARRIVED and commands[0].event is Event.REPLANNED and again.event is Event.ARRIVED
+    np.testing.assert_allclose(with_stick[-1], GOAL, atol=1e-12)
+    near = jax.vmap(lambda q: jaxik.clearance(link.robot, link.scene, q))
+    assert np.asarray(near(with_stick)).min() > MARGIN - 1e-5
+    told, replayed = jaxik.Replanner.replay(tmp_path / "run.jsonl")
+    assert [record.command for record in told.records] == replayed
+    with pytest.raises(ValueError, match=r"Replanner.update: another robot, .*; make a Replanner of it"):
+        arm.update(10.0, robot=with_room(panda, spheres=1))
 
 
 def test_what_lands_on_an_arm_that_stands_is_told_until_it_goes(make, table, judge):
