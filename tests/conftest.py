@@ -71,6 +71,16 @@ def pytest_collection_modifyitems(config, items):
         items[:] = [x for x in items if x not in own]
 
 
+@pytest.fixture(scope="module", autouse=True)
+def forgotten():
+    """XLA's programs of a module's tests are forgotten where all runs by XLA: those of all of them take many gigabytes."""
+    yield
+    if not has_kernels():
+        import jax
+
+        jax.clear_caches()
+
+
 @pytest.fixture
 def optimised():
     """XLA's good code, for what runs long by XLA alone."""

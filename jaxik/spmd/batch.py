@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.platforms import after_fork, cache_home, cores
-from jaxik.spmd.host import HostKernel
+from jaxik.spmd.host import HostKernel, in_width
 from jaxik.spmd.program import Unsupported
 
 Cached = TypeVar("Cached", bound=Any)
@@ -61,7 +61,8 @@ def in_blocks(
     wide = jnp.result_type(float) == np.float64 if double is None else double
     made = rows or (lambda *columns: columns)
     if isinstance(function, HostKernel):
-        kernel, function = function, functools.partial(function.now_by_xla, double=double)
+        kernel, by_xla = function, function.by_xla
+        function = lambda *args: by_xla(*in_width(args, double))
         try:
             if rows is None:
                 return kernel.run(*columns, *fixed, double=double, threads=threads(), team=cores())

@@ -57,17 +57,11 @@ class HostKernel:
         try:
             return self.run(*args, double=double)
         except Unsupported:
-            return self.now_by_xla(*args, double=double)
-
-    def now_by_xla(self, *args: Any, double: bool | None = None) -> list[np.ndarray]:
-        """The same by XLA, also where there is a kernel."""
-        if double is not None:
-            width = np.dtype(np.float64 if double else np.float32)
-            args = jax.tree_util.tree_map(lambda x: as_operand(x, width), args)
+            pass
         wide = jnp.result_type(float) == np.float64 if double is None else double
         with jax.enable_x64(wide), jax.ensure_compile_time_eval():
             # now, also where what calls is being traced: a robot's closed forms are found then
-            return [np.asarray(x) for x in jax.tree_util.tree_leaves(self.by_xla(*args))]
+            return [np.asarray(x) for x in jax.tree_util.tree_leaves(self.by_xla(*in_width(args, double)))]
 
     def run(
         self, *args: Any, double: bool | None = None, threads: ThreadPoolExecutor | None = None, team: int = 1
@@ -217,6 +211,12 @@ def host_kernels(lanes: int, known: int = 64) -> Callable[[Callable[..., Any]], 
         return functools.lru_cache(known)(lambda *fixed: HostKernel(functools.partial(function, *fixed), lanes))
 
     return factory
+
+
+def in_width(args: Any, double: bool | None) -> Any:
+    """Arguments for XLA, their floats in the width that is asked, if one is."""
+    width = np.dtype(np.float64 if double else np.float32)
+    return args if double is None else jax.tree_util.tree_map(lambda x: as_operand(x, width), args)
 
 
 def as_operand(x: Any, width: Any) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from jaxik.spmd import HostKernel, batch
+from jaxik.spmd import TEAM, HostKernel, batch, team
 from jaxik.spmd.program import Unsupported
 
 WHILE_MADE = """
@@ -92,3 +92,10 @@ def test_floats_of_both_widths_come_in_the_one_that_is_asked(monkeypatch, double
     (found,) = batch.in_blocks(HostKernel(halved, 1), rows, fixed=(np.float64(0.5),), double=double)
     assert found.dtype == (np.float64 if double else np.float32)
     np.testing.assert_array_equal(found, 1.25)
+
+
+def test_a_team_goes_by_xla_too(monkeypatch):
+    monkeypatch.setattr(HostKernel, "run", refused)
+    summed = team(lambda x: lax.psum(x[lax.axis_index(TEAM)], TEAM))
+    (found,) = batch.in_blocks(HostKernel(summed, 1), np.arange(48.0).reshape(3, 16), double=True)
+    np.testing.assert_array_equal(found, np.arange(48.0).reshape(3, 16).sum(axis=1))
