@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxik.checks.options import check_flag, shown
 from jaxik.collision.bvh import forms_of, grouped_in
-from jaxik.collision.held import apart, held_by, together
+from jaxik.collision.held import apart, check_same, held_by, together
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.robot import Robot
 from jaxik.spmd.handle import Handle
@@ -70,8 +70,7 @@ class Prepared(Handle):
             )
         found = dict(zip(self._holders, robots, strict=False))
         for k, robot in found.items():
-            if apart(robot)[0] != apart(self.models[k])[0]:
-                raise ValueError(f"{self.who}: update by another robot, {shown(robot.name)}; prepare it anew")
+            check_same(f"{self.who}: update by", robot, self.models[k], "prepare it anew")
         return found
 
     def begin(self, *example: Any, shared: tuple[Any, ...] = ()) -> None:

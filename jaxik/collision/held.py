@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxik.checks.options import shown
 from jaxik.collision.own_shape import once
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.shapes import Volume
@@ -37,6 +38,12 @@ def together(robot: Robot, carried: Carried) -> Robot:
     """The robot with what it carries. Traced."""
     volumes = tuple(carried.get(i, v) for i, v in enumerate(robot.volumes))
     return dataclasses.replace(robot, volumes=volumes) if carried else robot
+
+
+def check_same(what: str, robot: Robot, before: Robot, mend: str) -> None:
+    """Raises `ValueError`, `what` being updated, where a robot is not the one before, whatever they hold."""
+    if robot is not before and apart(robot)[0] != apart(before)[0]:
+        raise ValueError(f"{what} another robot, {shown(robot.name)}; {mend}")
 
 
 @once

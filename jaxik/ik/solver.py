@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import check_kind, shown
-from jaxik.collision.held import apart
+from jaxik.collision.held import check_same
 from jaxik.collision.scene import Scene
 from jaxik.ik.direct import Direct
 from jaxik.ik.options import IKOptions
@@ -63,9 +63,8 @@ class Solver:
 
         Raises `ValueError` for another robot."""
         before = self._world
-        if robot is not None and robot is not before.robot and apart(robot)[0] != apart(before.robot)[0]:
-            raise ValueError(f"Solver: update by another robot, {shown(robot.name)}; make a Solver of it")
         robot = before.robot if robot is None else robot
+        check_same("Solver: update by", robot, before.robot, "make a Solver of it")
         self._world = before.within(scene, robot) or _World(robot, scene, self.seed, self.options)
 
     def __call__(self, target: Any, posture: Any = None) -> IKResult:

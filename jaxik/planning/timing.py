@@ -75,8 +75,8 @@ def time_path(
     places: number of places at which the speed is chosen, spread evenly over the pieces, eight a piece or more; None is 125 a
         piece, and no fewer than 500; within a jerk limit of moments, spread evenly in time, 64 between stops or more, and None
         is 300, halved where a corner is shorter than they tell; fewer than 150 take half of the work, and motions last some
-        1 % longer (at most 7 % of 51 planned ones). Random splines of 3 to 300 waypoints take 0.8 % more than the least time
-        at 125 a piece (at most 2 %), twice that at half as many.
+        1 % longer (7 % at most, of 51 that were planned). Random splines of 3 to 300 waypoints take 0.8 % more than the least
+        time at 125 a piece (at most 2 %), twice that at half as many.
 
     All joints begin and end together. Stacked paths, with leaves (N, ...), stacks of waypoints (N, k, n), and rows (N, n) of
     limits are timed together. With NaN (`reason` INVALID), and in a stack where the drives cannot hold the arm still (LIMITS),

@@ -13,7 +13,7 @@ import numpy as np
 from jaxik.checks.arrays import is_rigid, numbers
 from jaxik.checks.options import check_kind, check_seed, shown
 from jaxik.collision.clearances import check_geometry
-from jaxik.collision.held import apart
+from jaxik.collision.held import check_same
 from jaxik.collision.scene import Scene, check_scene, remembered
 from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
@@ -175,8 +175,7 @@ class Replanner:
         if scene is None and same:
             return False
         robot = self.robot if robot is None else robot
-        if not same and apart(robot)[0] != apart(self.robot)[0]:
-            raise ValueError(f"{who}: another robot, {shown(robot.name)}; make a Replanner of it")
+        check_same(f"{who}:", robot, self.robot, "make a Replanner of it")
         own = self._scene if scene is None else _own(scene)
         world, before = World(robot, own), self._space.world
         if _form(world) != _form(before):
