@@ -10,7 +10,6 @@ from enum import IntEnum
 import numpy as np
 
 import jaxik
-from jaxik.spmd import HostKernel
 
 UNIT = 1e-3  # that the length of a quaternion may be away from 1
 ROUNDING = 1e-9  # [m] that an answer on the margin may be inside it
@@ -69,7 +68,7 @@ class Follower:
     def __init__(self, robot: jaxik.Robot, scene: jaxik.Scene | None = None, options: Options | None = None):
         self.robot, self.options = robot, options or Options()
         self._solver = jaxik.Solver(robot, scene=scene)
-        self._clearance = HostKernel(lambda q: jaxik.clearance(robot, scene, q), 1)
+        self._clearance = jaxik.prepare(jaxik.clearance, robot, scene, example=(np.zeros(robot.num_joints),))
         limits = np.full(robot.num_joints, np.inf) if robot.velocity is None else np.asarray(robot.velocity, float)
         self._limits = np.minimum(limits, self.options.velocity)
         self._measured = self._commanded = np.zeros(robot.num_joints)
@@ -109,8 +108,7 @@ class Follower:
         needed = (away / self._limits).max()
         late = needed > seconds
         following = self._commanded + seconds / needed * (answer - self._commanded) if late else answer
-        (clearance,) = self._clearance.run(following[None], double=True)
-        if clearance[0] < self.options.margin - ROUNDING:
+        if self._clearance(following) < self.options.margin - ROUNDING:
             return Sample(self._commanded, jaxik.Reason.COLLISION)
         self._commanded = following
         return Sample(following, jaxik.Reason.SOLVED, float(np.abs(answer - following).max()))

@@ -7,6 +7,9 @@ import pytest
 
 import jaxik
 from jaxik.codegen import export_robot
+from jaxik.spmd import machine
+
+pytestmark = pytest.mark.kernels(reason="machine code is made by llvmlite")
 
 
 def calls_back(x):
@@ -104,6 +107,12 @@ def test_refused_in_one_line(case, tmp_path):
         jaxik.export(function, signature, tmp_path, **more)
     assert "\n" not in str(raised.value) and str(raised.value).startswith("export: ")
     assert not any(tmp_path.iterdir())
+
+
+def test_without_a_compiler(tmp_path, monkeypatch):
+    monkeypatch.setattr(machine, "llvm", lambda: None)
+    with pytest.raises(ValueError, match="export: machine code is made by llvmlite, which is not installed; pip install"):
+        jaxik.export(two, (0.0, 0.0), tmp_path)
 
 
 def test_a_robot_lacks_what_a_function_needs(tmp_path):

@@ -17,6 +17,7 @@ from jaxik.codegen.robot_functions import ARGUMENTS, FUNCTIONS
 from jaxik.ik import ik_search
 from jaxik.spmd import HostKernel
 
+pytestmark = pytest.mark.kernels(reason="machine code is made by llvmlite")
 ROWS = 1000
 BALLS = [[0.4, 0.2, 0.5, 0.1], [-0.3, 0.3, 0.4, 0.15], [0.5, -0.4, 0.2, 0.1]]
 

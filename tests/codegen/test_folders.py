@@ -17,6 +17,7 @@ from jaxik.cli.export import ExportArguments
 from jaxik.codegen import export_robot
 from jaxik.codegen.archive import Member, archive
 
+pytestmark = pytest.mark.kernels(reason="machine code is made by llvmlite")
 BARE = {"PATH": "/usr/bin:/bin"}
 compiled = pytest.mark.skipif(shutil.which("gcc", path=BARE["PATH"]) is None, reason="a C compiler")
 DYNAMICS = ["pose", "jacobian", "inverse_dynamics", "mass_matrix", "forward_dynamics"]

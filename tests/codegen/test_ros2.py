@@ -6,6 +6,7 @@ runs among objects that stand for ROS.
 
 import dataclasses
 import importlib
+import itertools
 import re
 import shutil
 import subprocess
@@ -25,6 +26,7 @@ STUBS = Path(__file__).parent / "ros_stubs"
 START = [0.0, 0.0, 0.0, -1.5708, 0.0, 1.8675, 0.0]
 PERIOD = 0.004
 built_by_cmake = pytest.mark.skipif(not (shutil.which("cmake") and shutil.which("g++")), reason="CMake and a C++ compiler")
+exported = pytest.mark.kernels(reason="machine code is made by llvmlite")
 
 
 def shell(*command, **more):
@@ -73,12 +75,14 @@ def inputs():
     return [((k + 1) * PERIOD, each) for k, each in enumerate(told)]
 
 
+@exported
 @built_by_cmake
 def test_the_cores_own_test_holds(built):
     told = shell("ctest", "--test-dir", built, "--verbose")
     assert "all hold" in told and "1000 of 1000 samples on the target" in told
 
 
+@exported
 @built_by_cmake
 def test_c_and_python_follow_alike(built, follower):
     lines = [" ".join(map(repr, [t, *map(float, np.concatenate(told) if told else [])])) for t, told in inputs()]
@@ -105,6 +109,7 @@ def test_c_and_python_follow_alike(built, follower):
     assert set(reasons) == {0, 1, 101} and reached > 350
 
 
+@exported
 @built_by_cmake
 def test_the_node_in_cpp_fits_the_types_of_ros(built):
     flags = ["-std=c++17", "-fsyntax-only", "-Wall", "-Wextra", "-Werror"]
@@ -199,8 +204,10 @@ def ros(monkeypatch):
     sys.modules.pop("node", None)
 
 
-def test_the_node_in_python_goes_where_it_is_told(follower, ros):
-    node = importlib.import_module("node").FollowerNode()
+def test_the_node_in_python_goes_where_it_is_told(follower, ros, monkeypatch):
+    module, ticks = importlib.import_module("node"), itertools.count()
+    monkeypatch.setattr(module, "time", types.SimpleNamespace(monotonic=lambda: PERIOD * next(ticks)))
+    node = module.FollowerNode()
     node.timer()
     assert [m.data for m in node.told["reason"].messages] == [100] and not node.told["joint_trajectory"].messages
     names = list(reversed(node.robot.joint_names))
