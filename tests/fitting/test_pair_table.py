@@ -132,6 +132,7 @@ def test_a_fitted_robot_is_as_free_as_its_links(arm, postures):
     assert known < 0.08 and bare > 5.0 * known
 
 
+@pytest.mark.kernels(reason="the same bits of two programs are a promise of kernels alone")
 def test_the_search_skips_and_stops_as_without(arm, postures):
     """Flat and hierarchical distances are equal to the last bit, by links, too; so are the answers of `collides`."""
 
