@@ -193,7 +193,7 @@ def by_object(robot: Robot, count: int, around: Grouped, q: Any) -> Any:
 
 @kernel(models=1, order=_order)
 def _collides(robot: Robot, around: Grouped, q: Any, margin: Any) -> Any:
-    return _too_near(robot, around, q, margin, lambda hit: hit)
+    return _too_near(robot, around, q, margin)
 
 
 def lanes_that_collide(robot: Robot, around: Grouped, q: Any, margin: Any, each: Any) -> Any:
@@ -213,11 +213,13 @@ def any_collides(robot: Robot, around: Grouped, q: Any, margin: Any) -> Any:
     return some(_too_near(robot, around, q, jnp.asarray(margin, q.dtype), some))
 
 
-def _too_near(robot: Robot, around: Grouped, q: Any, margin: Any, settled: Callable[[Any], Any]) -> Any:
-    """`collides`, where `settled` may end it: of whether something is too near so far, whether no more need be known."""
+def _too_near(robot: Robot, around: Grouped, q: Any, margin: Any, settled: Callable[[Any], Any] | None = None) -> Any:
+    """`collides`; of a team's lanes `settled` may end it: of whether something is too near so far, whether no more need be
+    known."""
     q = as_configuration(robot, q)
     margin = jnp.asarray(margin, q.dtype)
-    least = Space(robot, at_margin(around, margin), q).all(margin, enough=margin, settled=settled).distance
+    space = Space(robot, at_margin(around, margin), q)
+    least = space.all(margin, enough=margin, settled=settled or (lambda hit: hit), team=settled is not None).distance
     return ~((least >= margin) & (_unsound(robot, around, q) == 0.0))
 
 

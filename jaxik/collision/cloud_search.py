@@ -4,22 +4,45 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
 
 from jaxik.collision import distance, tree_walk
-from jaxik.collision.leaf_rows import FAR, SLACK, Found, entry, rows_from
+from jaxik.collision.leaf_rows import FAR, SLACK, Found, entry, row_at, rows_from
 from jaxik.spatial.algebra import Vec3, traced
+from jaxik.spmd.trace import TEAM
 
 ROUNDING = 1.0 + 1e-5  # of a square, by which a box counts as nearer: its distance and a point's are rounded on their own
 
 
+class _Body(NamedTuple):
+    """Boxes from `low` to `high` (v,), each with all that is within a `radius` (v,) [m] of it. A box of the cloud is near if
+    it is so to `some` of them, any or all, and not `aside`."""
+
+    low: Vec3
+    high: Vec3
+    radius: Any
+    some: Callable[[Any], Any]
+    aside: Callable[[Vec3, Vec3, Any], Any]
+
+    @staticmethod
+    def of_volumes(corners: tuple[Vec3, ...], radius: Any) -> _Body:
+        """Volumes, each for itself."""
+        return _Body(*_extremes(corners), radius, jnp.any, _aside(corners))
+
+    @staticmethod
+    def of_balls(low: Vec3, high: Vec3, ball: tuple[Vec3, Any]) -> _Body:
+        """What is in a box and in a ball."""
+        (center, radius), both = ball, lambda a, b: Vec3(*map(jnp.stack, zip(a, b, strict=True)))
+        return _Body(both(low, center), both(high, center), jnp.stack([0.0 * radius, radius]), jnp.all, _aside((center,)))
+
+
 class CloudSearch:
-    """Cloud k of the obstacles around a robot. A box is looked into unless it is further from a few volumes of the robot than
-    what is found already; the points of a leaf are measured as all points are, so that their distances have the same bits as
-    those of a search through all."""
+    """Cloud k of the obstacles around a robot. A box is looked into unless it is further from a part of the robot than what is
+    found already; the points of a leaf are measured as all points are, so that their distances have the same bits as those of a
+    search through all. Balls lie close together, so one walk serves all of a part's, and each other volume has its own."""
 
     def __init__(self, space: Any, k: int):
         self.space, self.k, self.others = space, k, space.others[k]
@@ -33,47 +56,64 @@ class CloudSearch:
         if space.own is not None:
             center, radius = ball
             measured = lambda leaf, found: space.to_leaf(p, ball, self.k, leaf, found)
-            return self._walked(((Vec3(*(x[None] for x in center)),), radius[None]), measured, found)
+            return self._walked(_Body.of_volumes((Vec3(*(x[None] for x in center)),), radius[None]), measured, found)
         for volumes, placed, origin in zip(space.trees.kinds, space.placed, space.first, strict=False):
+            pair = functools.partial(space.leaf_pair, volumes, placed, origin, self.others)
+            own = entry(volumes.first, p), entry(volumes.last, p)
+            if volumes.arity == 1:
+                found = self._to_balls(ball, own, placed, volumes.size, pair, found)
+                continue
 
-            def one(i: Any, found: Found, v: Any = (volumes, placed, origin)) -> Found:
-                volumes, placed, origin = v
-                measured = functools.partial(space.leaf_pair, volumes, placed, origin, self.others, i)
-                return self._walked(rows_from(placed.volumes, i, volumes.size), measured, found)
+            def one(i: Any, found: Found, rows: Any = (placed.volumes, volumes.size, pair)) -> Found:
+                columns, size, pair = rows
+                body = _Body.of_volumes(*rows_from(columns, i, size))
+                return self._walked(body, functools.partial(pair, i), found)
 
-            found = lax.fori_loop(entry(volumes.first, p), entry(volumes.last, p), one, found)
+            found = lax.fori_loop(*own, one, found)
         return found
 
-    def _walked(self, volumes: Any, measured: Callable[[Any, Found], Found], found: Found) -> Found:
-        """`measured` of each leaf that may be nearer to some volumes, corners and radii (v,), than what is found."""
-        corners, radius = volumes
-        (low, high), aside = _extremes(corners), _aside(corners)
-        beyond, enough = radius + self.radius + SLACK, self.space.enough
+    def _to_balls(self, ball: Any, own: Any, placed: Any, size: int, pair: Callable[..., Found], found: Found) -> Found:
+        """The nearest point to a part's balls, which are in a `ball`, in leaves from the first to the last of its `own`."""
+        first, last = own
+
+        def wider(i: Any, box: tuple[Vec3, Vec3]) -> tuple[Vec3, Vec3]:
+            (center,), radius = rows_from(placed.volumes, i, size)
+            low = Vec3(*(jnp.minimum(a, jnp.min(x - radius)) for a, x in zip(box[0], center, strict=True)))
+            return low, Vec3(*(jnp.maximum(a, jnp.max(x + radius)) for a, x in zip(box[1], center, strict=True)))
+
+        def measured(leaf: Any, found: Found) -> Found:
+            around = self.others.ball(leaf)
+
+            def one(i: Any, found: Found) -> Found:
+                near: Found = self.space.if_near(found, row_at(placed.leaves, i), around, lambda found: pair(i, leaf, found))
+                return near
+
+            return lax.fori_loop(first, last, one, found)
+
+        far = jnp.full_like(found.distance, FAR)
+        low, high = lax.fori_loop(first, last, wider, (Vec3(far, far, far), Vec3(-far, -far, -far)))
+        return self._walked(_Body.of_balls(low, high, ball), measured, found)
+
+    def _walked(self, body: _Body, measured: Callable[[Any, Found], Found], found: Found) -> Found:
+        """`measured` of each leaf that may be nearer to a body than what is found."""
+        beyond, enough, team = body.radius + self.radius + SLACK, self.space.enough, self.space.team
 
         def meets(number: Any, found: Found) -> tuple[Any, Any]:
             x, y, z, *turned = traced(entry(self.boxes, number))
             least, most = Vec3(x, y, z), -Vec3(*turned)
-            after, before = least - high, low - most
+            after, before = least - body.high, body.low - most
             gap = Vec3(*(_more(_more(a, b), 0.0) for a, b in zip(after, before, strict=True)))
             reach = jnp.where(found.distance < FAR / 2.0, found.distance, FAR / 2.0) + beyond
             square = reach * reach * ROUNDING
-            near = jnp.any((reach > 0.0) & (gap.dot(gap) < square) & ~aside(least, most, square))
+            near = body.some((reach > 0.0) & (gap.dot(gap) < square) & ~body.aside(least, most, square))
             if enough is not None:
                 near &= found.distance >= enough
-            return near, _nearer_half(least, most, low, high)
+            way = (least + most) - Vec3(*(a[0] + b[0] for a, b in zip(body.low, body.high, strict=True)))
+            apart = way.dot(way)
+            return (lax.pmax(near.astype(jnp.int32), TEAM) > 0, lax.pmin(apart, TEAM)) if team else (near, apart)
 
-        leaves = jnp.full_like(found.distance, self.leaves, jnp.int32)
-        return tree_walk.walk(leaves, meets, measured, found)
-
-
-def _nearer_half(least: Vec3, most: Vec3, low: Vec3, high: Vec3) -> Any:
-    """The half of a box that is most likely nearer to what is between `low` and `high`: in the order of a cloud halves lie side
-    by side along the longest edge."""
-    longest, second = most.x - least.x, low.x[0] + high.x[0] > least.x + most.x
-    for a, b, first, last in zip(least[1:], most[1:], low[1:], high[1:], strict=True):
-        second = jnp.where(b - a > longest, first[0] + last[0] > a + b, second)
-        longest = _more(b - a, longest)
-    return second.astype(jnp.int32)
+        leaves = jnp.int32(self.leaves)  # a lane of its own goes its own way
+        return tree_walk.walk(leaves if team else jnp.full_like(found.distance, leaves, jnp.int32), meets, measured, found)
 
 
 def _aside(corners: tuple[Vec3, ...]) -> Callable[[Vec3, Vec3, Any], Any]:

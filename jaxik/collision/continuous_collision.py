@@ -232,8 +232,9 @@ def _decided_as_asked(scene: Any, margin: Any, resolution: Any, enough: Any) -> 
 def _ruler(
     robot: Robot, scene: Any, start: Any, goal: Any, extent: Any, margin: Any, enough: Any, resolution: Any
 ) -> tuple[Any, _Bounds]:
-    """The function that measures one configuration of the motion, less what rounding may have added, and the bounds of its
-    rows. What is so far that it stays beyond `enough` on the whole motion is not looked for."""
+    """The function that measures one configuration of the motion, less what rounding may have added, but for rows that are
+    `settled`; and the bounds of its rows. What is so far that it stays beyond `enough` on the whole motion is not looked
+    for."""
     rows, moved = _rows(robot), goal - start
     bounds, tables = _row_bounds(robot, rows, start, goal), _table_speeds(robot, rows, start, goal, margin)
     short = ROUNDING * float(jnp.finfo(start.dtype).eps) * (extent + _size(robot, bounds.length, start, goal))
@@ -242,10 +243,12 @@ def _ruler(
     of_link = [[0.0, *(speed[row] for row in np.flatnonzero(columns == k))] for k in range(len(solid_links(robot)))]
     within = enough + 2.0 * resolution + jnp.max(short) + _most(of_link, start.dtype)
 
-    def measured(t: Any) -> _Measured:
+    def measured(t: Any, settled: Any) -> _Measured:
         q = start + t * moved
-        apart = link_clearances_within(robot, scene, q, within)[columns] - short
-        apart = jnp.minimum(apart, FAR)  # a number, where there is nothing to hit
+        asked = within.at[columns].set(jnp.where(settled, -FAR, within[columns]))
+        apart = link_clearances_within(robot, scene, q, asked)[columns] - short
+        # a number, where there is nothing to hit, or nothing to look for
+        apart = jnp.where(settled, FAR, jnp.minimum(apart, FAR))
         return _Measured(t, apart, jnp.maximum(_speeds(robot, rows, q, moved), tables))
 
     return measured, bounds._replace(speed=speed)
@@ -309,7 +312,14 @@ def _marched_on(measured: Any, sight: _Sight, before: _State) -> _State:
     start = before._replace(here=nowhere, step=zero, hope=one, hit=jnp.zeros((), bool), count=jnp.zeros((), jnp.int32))
     # NaN is due: what cannot be compared is no proof
     due = lambda state: ~(state.here.t + state.step >= until) | ((state.count == 0) & ~(before.hit & sight.first))
-    ahead = lambda state: measured(jnp.minimum(state.here.t + state.hope * state.step, until))
+
+    def ahead(state: _State) -> _Measured:
+        """What is measured next. Of who only asks whether all rows keep the level, those that are seen to up to the end are
+        settled: most links are, far from everything."""
+        seen = sight.around(state.here, state.least) >= until - state.here.t
+        settled = seen & (state.count > 0) if sight.first else jnp.zeros(rows, bool)
+        return measured(jnp.minimum(state.here.t + state.hope * state.step, until), settled)
+
     goes_on = lambda state: due(state) & ~state.hit & (state.count < MOST)
     end = lax.while_loop(goes_on, lambda state: _stepped(sight, state, ahead(state)), start)
     through = ~due(end) & ~end.hit

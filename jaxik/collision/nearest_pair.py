@@ -23,7 +23,7 @@ from jaxik.collision.bvh import Grouped, RobotTrees
 from jaxik.collision.cloud_search import CloudSearch, ball_around
 from jaxik.collision.field_gap import FieldGap
 from jaxik.collision.held import holding
-from jaxik.collision.leaf_rows import Found, as_columns, count_of, entry, nearest_of, row_at, rows_from
+from jaxik.collision.leaf_rows import FAR, Found, as_columns, count_of, entry, nearest_of, row_at, rows_from
 from jaxik.collision.own_pairs import Exact, Parts
 from jaxik.collision.own_shape import OwnParts, OwnSurfaces
 from jaxik.collision.shape_distances import (
@@ -41,6 +41,7 @@ from jaxik.kinematics.forward import joint_frames, joint_sums, moved_by
 from jaxik.kinematics.link_distance_table import interpolated
 from jaxik.kinematics.robot import Robot
 from jaxik.spatial.algebra import Frame, Vec3, stack, traced
+from jaxik.spmd.trace import TEAM
 
 FEW = 16  # points of a robot, up to which they are moved without a loop
 
@@ -96,6 +97,7 @@ class Space:
         for v, p in zip(self.trees.kinds, self.placed, strict=True):
             self._put(p.volumes, skeleton_gap, p.leaves, v.size, v.even and v.arity == 1)
         self.enough: Any = None  # a distance [m] that ends the search
+        self.team = False  # whether lanes go together, whose configurations are much alike
         self.solid = [k for k, o in enumerate(self.obstacles) if o.bodies is not None]
         self.inner = len(self.others)  # the first of those that are the same triangles, seen from inside
         for k in self.solid:
@@ -114,19 +116,26 @@ class Space:
     # Which pairs
 
     def all(
-        self, start: Any = jnp.inf, tracked: bool = False, enough: Any = None, settled: Callable[[Any], Any] = lambda hit: hit
+        self,
+        start: Any = jnp.inf,
+        tracked: bool = False,
+        enough: Any = None,
+        settled: Callable[[Any], Any] = lambda hit: hit,
+        team: bool = False,
     ) -> Found:
         """The nearest pair of all that are nearer than `start` [m]; the search ends where one is nearer than `enough`, or where
-        `settled`, of whether one is, says so: a lane may know it from others."""
-        self.enough = enough
+        `settled`, of whether one is, says so: a lane may know it from others. The lanes of a `team` go together."""
+        self.enough, self.team = enough, team
 
         def step(p: Any, found: Found) -> Found:  # not a loop with an end a lane: then p would be a lane's own, too
             go_on = lambda found: self.part(p, found, self.own is None)
-            return (
-                go_on(found)
-                if enough is None
-                else lax.cond(settled(found.distance < enough), lambda found: found, go_on, found)
-            )
+            if enough is None:
+                return go_on(found)
+            over = settled(found.distance < enough)
+            if team:  # whoever is done comes along, and finds nothing nearer
+                found = found._replace(distance=jnp.where(over, -FAR, found.distance))
+                over = lax.pmin(over.astype(jnp.int32), TEAM) > 0
+            return lax.cond(over, lambda found: found, go_on, found)
 
         count, found = jnp.int32(len(self.trees.links)), self._start(start, tracked)
         # of a robot with an own shape all pairs together, so that few lanes wait for others
@@ -211,7 +220,7 @@ class Space:
         inside = every if self.own is None else each
         if self.bits is not None:
             inside = lambda found, leaves=inside: lax.cond(self.counts(p, k, b), leaves, lambda found: found, found)
-        return self._if_near(found, ball, branch, inside)
+        return self.if_near(found, ball, branch, inside)
 
     def to_leaf(self, p: Any, ball: Any, k: int, j: Any, found: Found) -> Found:
         """Part p of a robot with an own shape against leaf j of the obstacles of kind k."""
@@ -223,8 +232,8 @@ class Space:
 
         model = lambda found: self._leaves(p, j, j + 1, others, found, others.ball(j))
         if isinstance(others.gap, FieldGap):  # which is measured to volumes alone
-            return self._if_near(found, ball, others.ball(j), model)
-        return self._if_near(found, ball, others.ball(j), own.leaf(p, others, j, model, nearer))
+            return self.if_near(found, ball, others.ball(j), model)
+        return self.if_near(found, ball, others.ball(j), own.leaf(p, others, j, model, nearer))
 
     def counts(self, p: Any, k: int, b: Any) -> Any:
         """Whether branch b of the obstacles of kind k counts for part p."""
@@ -251,11 +260,11 @@ class Space:
             return found
 
         if not self.tabled:
-            return self._if_near(found, ball, row_at(self.parts, o), inside)
+            return self.if_near(found, ball, row_at(self.parts, o), inside)
         number = entry(self.trees.tables.of, k)
         known = lambda found: self._beyond(number, found, inside)
         either = lambda found: lax.cond(number >= 0, known, inside, found)
-        return self._if_near(found, ball, row_at(self.parts, o), either)
+        return self.if_near(found, ball, row_at(self.parts, o), either)
 
     def _beyond(self, number: Any, found: Found, inside: Callable[[Found], Found]) -> Found:
         """Returns what is found `inside` a pair of parts, but no nearer than its table says."""
@@ -304,7 +313,7 @@ class Space:
                         inside = lambda found, near=inside: self._if(bound() < found.distance, near, found)
                     if long:
                         return self._if_beside(found, mine, others.ball(j), inside)
-                    return self._if_near(found, ball, others.ball(j), inside)
+                    return self.if_near(found, ball, others.ball(j), inside)
 
                 every = lambda found: lax.fori_loop(first, last, other, found)
                 return self._if_beside(found, mine, around, every) if long else every(found)
@@ -320,7 +329,7 @@ class Space:
         gap = others.gap.below(found.distance) if marched else others.gap  # type: ignore[attr-defined]
         return _nearer(found, mine, theirs, gap, squares, volumes.even, places)
 
-    def _if_near(self, found: Found, a: Any, b: Any, inside: Callable[[Found], Found]) -> Found:
+    def if_near(self, found: Found, a: Any, b: Any, inside: Callable[[Found], Found]) -> Found:
         """Returns what is found `inside` two spheres, unless they are further apart than what is found already."""
         (center, radius), (other, other_radius) = a, b
         apart, reach = center - other, found.distance + (radius + other_radius)

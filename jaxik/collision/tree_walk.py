@@ -10,18 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 
 
 class _Place(NamedTuple):
-    """Where a walk is: the number of a `box`; its `trail`, a 1 and a bit for each box above it, 1 where that has been left for
-    the other half; the `leaf` that it came to last, if it is `at_leaf`; and whether it is `over`."""
+    """Where a walk is: the number of a `box`, a leaf or one whose halves are looked at next; its `trail`, a 1 and a bit for
+    each box above it, 0 where the other half is still to come; and whether it is `over`."""
 
     box: Any
     trail: Any
-    leaf: Any
-    at_leaf: Any
     over: Any
 
 
@@ -36,30 +35,29 @@ def following(number: Any) -> tuple[Any, Any]:
 
 def walk(leaves: Any, meets: Callable[[Any, Any], tuple[Any, Any]], inside: Callable[[Any, Any], Any], state: Any) -> Any:
     """`inside(leaf, state)` of each leaf, counted from 0, that is met. A tree has so many `leaves`, a power of two, which may
-    differ from lane to lane; `meets(number, state)` says whether box `number` of it is looked into, and whether its second half
-    (1) or its first (0) comes first."""
+    differ from lane to lane; `meets(number, state)` says whether box `number` of it is looked into, and by a number which of
+    two halves comes first: that where it is less."""
+
+    def upwards(at: _Place) -> _Place:
+        after, fewer = following(at.trail)
+        return _Place((at.box >> fewer) ^ 1, after, after == 1)
 
     def step(at: _Place, state: Any) -> _Place:
-        (met, second), last = meets(at.box, state), at.box >= leaves
-        after, fewer = following(at.trail)
-        leaf, down = met & last, met & ~last
-        return _Place(
-            jnp.where(down, 2 * at.box + second, (at.box >> fewer) ^ 1),
-            jnp.where(down, 2 * at.trail, after),
-            jnp.where(leaf, at.box, at.leaf),
-            leaf,
-            ~down & (after == 1),
-        )
+        """Both halves at once, since a walk waits for what it reads of a box."""
+        (first, near), (second, far) = meets(2 * at.box, state), meets(2 * at.box + 1, state)
+        first &= at.box > 0  # of which the root is the second half
+        swapped, one = ~first | (second & (far < near)), first ^ second
+        down = _Place(2 * at.box + swapped, 2 * at.trail + one, at.over)
+        return jax.tree_util.tree_map(lambda a, b: jnp.where(first | second, a, b), down, upwards(at))
 
     def onwards(at: _Place, state: Any) -> _Place:
-        goes_on = lambda at: ~(at.at_leaf | at.over)
-        return lax.while_loop(goes_on, lambda at: step(at, state), at._replace(at_leaf=at.over & False))
+        return lax.while_loop(lambda at: ~at.over & (at.box < leaves), lambda at: step(at, state), at)
 
     def again(both: tuple[_Place, Any]) -> tuple[_Place, Any]:
         at, state = both
-        state = inside(at.leaf - leaves, state)
-        return onwards(at, state), state
+        state = inside(at.box - leaves, state)
+        return onwards(upwards(at), state), state
 
     one = jnp.ones_like(leaves)
-    start = onwards(_Place(one, one, one + leaves - one, one > 1, one > 1), state)
-    return lax.while_loop(lambda both: both[0].at_leaf, again, (start, state))[1]
+    start = onwards(_Place(one - one, one, one > 1), state)
+    return lax.while_loop(lambda both: ~both[0].over, again, (start, state))[1]
