@@ -33,10 +33,10 @@ class _Body(NamedTuple):
         return _Body(*_extremes(corners), radius, jnp.any, _aside(corners))
 
     @staticmethod
-    def of_balls(low: Vec3, high: Vec3, ball: tuple[Vec3, Any]) -> _Body:
-        """What is in a box and in a ball."""
+    def of_balls(low: Vec3, high: Vec3, most: Any, ball: tuple[Vec3, Any]) -> _Body:
+        """Balls in a ball, whose centres are in a box, and their radii `most` at most."""
         (center, radius), both = ball, lambda a, b: Vec3(*map(jnp.stack, zip(a, b, strict=True)))
-        return _Body(both(low, center), both(high, center), jnp.stack([0.0 * radius, radius]), jnp.all, _aside((center,)))
+        return _Body(both(low, center), both(high, center), jnp.stack([most, radius]), jnp.all, _aside((center,)))
 
 
 class CloudSearch:
@@ -76,10 +76,11 @@ class CloudSearch:
         """The nearest point to a part's balls, which are in a `ball`, in leaves from the first to the last of its `own`."""
         first, last = own
 
-        def wider(i: Any, box: tuple[Vec3, Vec3]) -> tuple[Vec3, Vec3]:
-            (center,), radius = rows_from(placed.volumes, i, size)
-            low = Vec3(*(jnp.minimum(a, jnp.min(x - radius)) for a, x in zip(box[0], center, strict=True)))
-            return low, Vec3(*(jnp.maximum(a, jnp.max(x + radius)) for a, x in zip(box[1], center, strict=True)))
+        def wider(i: Any, before: tuple[Vec3, Vec3, Any]) -> tuple[Vec3, Vec3, Any]:
+            (low, high, most), ((center,), radius) = before, rows_from(placed.volumes, i, size)
+            low = Vec3(*(jnp.minimum(a, jnp.min(x)) for a, x in zip(low, center, strict=True)))
+            high = Vec3(*(jnp.maximum(a, jnp.max(x)) for a, x in zip(high, center, strict=True)))
+            return low, high, jnp.maximum(most, jnp.max(radius))
 
         def measured(leaf: Any, found: Found) -> Found:
             around = self.others.ball(leaf)
@@ -91,8 +92,8 @@ class CloudSearch:
             return lax.fori_loop(first, last, one, found)
 
         far = jnp.full_like(found.distance, FAR)
-        low, high = lax.fori_loop(first, last, wider, (Vec3(far, far, far), Vec3(-far, -far, -far)))
-        return self._walked(_Body.of_balls(low, high, ball), measured, found)
+        low, high, most = lax.fori_loop(first, last, wider, (Vec3(far, far, far), Vec3(-far, -far, -far), 0.0 * far))
+        return self._walked(_Body.of_balls(low, high, most, ball), measured, found)
 
     def _walked(self, body: _Body, measured: Callable[[Any, Found], Found], found: Found) -> Found:
         """`measured` of each leaf that may be nearer to a body than what is found."""
@@ -135,11 +136,11 @@ def _aside(corners: tuple[Vec3, ...]) -> Callable[[Vec3, Vec3, Any], Any]:
     return far
 
 
-def ball_around(boxes: Any, number: Any, dtype: Any) -> tuple[Vec3, Any]:
-    """The ball around a box of a cloud, its centre and radius."""
-    x, y, z, *turned = traced(entry(jnp.asarray(boxes, dtype), number))
+def ball_around(boxes: Any, number: Any, further: Any) -> tuple[Vec3, Any]:
+    """The ball around all that is no `further` from a box of a cloud [m], its centre and radius."""
+    x, y, z, *turned = traced(entry(jnp.asarray(boxes, further.dtype), number))
     half = Vec3(*(0.5 * (-t - c) for c, t in zip((x, y, z), turned, strict=True)))
-    return Vec3(x, y, z) + half, distance.norm(half) * (1.0 + 1e-6) + SLACK
+    return Vec3(x, y, z) + half, distance.norm(half) * (1.0 + 1e-6) + (further + SLACK)
 
 
 def _extremes(corners: tuple[Vec3, ...]) -> tuple[Vec3, Vec3]:

@@ -314,8 +314,8 @@ def _marched_on(measured: Any, sight: _Sight, before: _State) -> _State:
     due = lambda state: ~(state.here.t + state.step >= until) | ((state.count == 0) & ~(before.hit & sight.first))
 
     def ahead(state: _State) -> _Measured:
-        """What is measured next. Of who only asks whether all rows keep the level, those that are seen to up to the end are
-        settled: most links are, far from everything."""
+        """The next measurement. For a caller that only asks whether all rows keep the level, those that are seen to keep it up
+        to the end are settled: most links are, far from everything."""
         seen = sight.around(state.here, state.least) >= until - state.here.t
         settled = seen & (state.count > 0) if sight.first else jnp.zeros(rows, bool)
         return measured(jnp.minimum(state.here.t + state.hope * state.step, until), settled)

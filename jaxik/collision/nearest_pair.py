@@ -65,9 +65,9 @@ class Others(NamedTuple):
     origin: int
 
     def ball(self, j: Any) -> tuple[Vec3, Any]:
-        """The ball around leaf j; of a cloud, whose leaves have boxes, around the box."""
+        """The ball around leaf j; of a cloud, whose leaves have boxes around its points' centres, around that of the box."""
         if not isinstance(self.leaves, tuple):
-            return ball_around(self.leaves, len(self.leaves) // 2 + j, self.columns[1].dtype)
+            return ball_around(self.leaves, len(self.leaves) // 2 + j, self.columns[1][0])
         return row_at(self.leaves, j)
 
 

@@ -101,6 +101,9 @@ def test_links_of_meshes_are_as_near_as_to_points(exact, tmp_path):
     near = lambda scene: jax.jit(jax.vmap(lambda q: clearance(robot, scene, q)))(q)
     wanted = near(jaxik.make_scene(points=points, point_radius=0.02))
     np.testing.assert_allclose(near(EMPTY.with_cloud(points, 0.02)), wanted, rtol=0.0, atol=1e-9)
+    large, alike = 0.08, np.repeat(points[:30], 8, axis=0)  # a leaf is no larger than one of its balls
+    wanted = near(jaxik.make_scene(points=points[:30], point_radius=large))
+    np.testing.assert_allclose(near(EMPTY.with_cloud(alike, large)), wanted, rtol=0.0, atol=1e-9)
 
 
 def test_an_empty_cloud_is_no_cloud():
