@@ -93,10 +93,13 @@ def _twice(array: Any, shape: tuple[int, ...]) -> Any:
 
 def _together(arrays: Sequence[Any]) -> list[Any]:
     """The second rows of arrays of two equal rows, which XLA computes in one loop. Two arrays at least, since a reduction of
-    one alone may be computed again by whoever asks for it."""
-    many = list(arrays) if len(arrays) > 1 else [*arrays, *arrays]
+    one alone may be computed again by whoever asks for it; all floats in one width, since XLA reduces no two together."""
+    floats = [x.dtype for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)]
+    many = [x.astype(max(floats, key=lambda dtype: dtype.itemsize)) if x.dtype in floats else x for x in arrays]
+    many = many if len(many) > 1 else [*many, *many]
     zeros = [np.zeros((), x.dtype) for x in many]
-    return lax.reduce(tuple(many), tuple(zeros), lambda before, x: x, (0,))[: len(arrays)]
+    found = lax.reduce(tuple(many), tuple(zeros), lambda before, x: x, (0,))
+    return [x.astype(array.dtype) for x, array in zip(found, arrays, strict=False)]
 
 
 def _by_constant(x: Value) -> bool:
