@@ -20,6 +20,7 @@ SUMS = spmd.HostKernel(lambda a, b, c: (a + b, b * c, jnp.sum(c)), 3)
 CALLS = 100_000
 
 
+@pytest.mark.kernels(reason="`run` and `repeated` never go to XLA")
 def test_calls_with_memory_of_the_caller_take_none():
     """A hundred thousand of them: as many blocks of memory as before, and nothing for Python's search for garbage."""
     again, searches = SUMS.repeated(A, B, C, double=True), []
@@ -38,6 +39,7 @@ def test_calls_with_memory_of_the_caller_take_none():
     np.testing.assert_array_equal(out[0], A + B)
 
 
+@pytest.mark.kernels(reason="`run` and `repeated` never go to XLA")
 def test_results_that_are_let_go_of_leave_nothing():
     again, searches = SUMS.repeated(A, B, C, double=True), []
     again(A, B, C)
@@ -52,6 +54,7 @@ def test_results_that_are_let_go_of_leave_nothing():
     assert not searches and abs(taken) < 20
 
 
+@pytest.mark.kernels(reason="`run` and `repeated` never go to XLA")
 def test_threads_share_one():
     """Each has its own numbers, and gets its own results, new or in its own memory; switched as often as Python can."""
     again, together = SUMS.repeated(A, B, C, double=True), threading.Barrier(4)
@@ -74,6 +77,7 @@ def test_threads_share_one():
         sys.setswitchinterval(before)
 
 
+@pytest.mark.kernels(reason="`run` and `repeated` never go to XLA")
 def test_a_call_that_fails_leaves_the_next_ones_sound():
     again = SUMS.repeated(A, B, C, double=True)
     for wrong in ((A, B), (A, B, C, C), (A, B, np.ones((3, 7))), (A, "x", C)):
@@ -82,6 +86,7 @@ def test_a_call_that_fails_leaves_the_next_ones_sound():
     np.testing.assert_array_equal(again(A, B, C)[1], B * C)
 
 
+@pytest.mark.kernels(reason="`run` and `repeated` never go to XLA")
 def test_another_thread_goes_on_beside_a_long_call():
     """A short one keeps the interpreter's lock, as getting it back may take longer than the call; a long one may not."""
     turns = lambda x: lax.fori_loop(0, 1_000_000, lambda _, x: x + jnp.sin(x), x)
@@ -101,6 +106,7 @@ def test_another_thread_goes_on_beside_a_long_call():
     assert count > 1000
 
 
+@pytest.mark.kernels(reason="`run` and `repeated` never go to XLA")
 def test_rows_of_a_batch_are_those_of_run():
     rows = RNG.normal(size=(3, 37, 7))
     again = SUMS.repeated(*rows, double=True)

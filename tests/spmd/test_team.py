@@ -66,6 +66,7 @@ def test_nan_is_the_least_and_the_largest():
     assert np.isnan(found[0]).tolist() == [False, True, True, False]
 
 
+@pytest.mark.kernels(reason="`run` and `repeated` never go to XLA")
 @pytest.mark.parametrize("double", [False, True])
 def test_nearest_of_many_points(double):
     """Each lane takes every sixteenth point; a kernel's rows have a team each, in both widths, by JAX and without it."""
@@ -131,6 +132,7 @@ def test_no_instruction_gives_a_value_its_own_type():
     assert [(a, b) for a, b in casts if a == b] == []
 
 
+@pytest.mark.kernels(reason="without any, each is refused for that alone")
 def test_a_collective_where_lanes_part_goes_to_xla():
     def lane(x):
         me = lax.axis_index(TEAM)
@@ -140,6 +142,7 @@ def test_a_collective_where_lanes_part_goes_to_xla():
     assert "where its lanes part" in spmd.describe(team(lane), 1.0).refused
 
 
+@pytest.mark.kernels(reason="without any, each is refused for that alone")
 def test_a_result_of_one_lane_is_refused():
     assert "not the same in all lanes" in spmd.describe(team(lambda x: x + lax.axis_index(TEAM)), 1.0).refused
     with pytest.raises(ValueError, match="out_axes"):
@@ -225,6 +228,7 @@ def test_a_teams_table_is_one_for_all_lanes():
     alike(team(lane), RNG.normal(size=(9, 3)).astype(np.float32), 40 * np.arange(9), rtol=1e-4)
 
 
+@pytest.mark.kernels(reason="without any, each is refused for that alone")
 def test_what_is_read_as_it_was_is_refused():
     def walked(n):
         turn = lambda i, state: (state[0].at[i].set(2.0), state[1] + state[0][7])
@@ -240,6 +244,7 @@ def test_an_array_that_is_made_anew_each_turn_flows():
     alike(walked, np.linspace(0.0, 1.0, 9, dtype=np.float32), np.arange(9))
 
 
+@pytest.mark.kernels(reason="without any, each is refused for that alone")
 def test_a_table_that_a_loop_does_not_carry_is_not_written_to():
     """A turn that writes to it, or a test that does, would change what the next one finds."""
 
@@ -254,6 +259,7 @@ def test_a_table_that_a_loop_does_not_carry_is_not_written_to():
     assert all("that it does not carry" in spmd.describe(each, 3).refused for each in (whatif, tested))
 
 
+@pytest.mark.kernels(reason="without any, each is refused for that alone")
 def test_a_team_inside_a_team_goes_to_xla():
     inner = team(lambda y: lax.psum(y * lax.axis_index(TEAM), TEAM))
     outer = team(lambda x: lax.pmax(inner(x * lax.axis_index(TEAM)), TEAM))
