@@ -78,7 +78,7 @@ def tip_errors(robot: jaxik.Robot, fruit: jaxik.collision.Mark, q: np.ndarray) -
         tip = robot.world_T_base.astype(q.dtype) @ jaxik.forward_kinematics(robot, q)
         return tip[:3, 3] - fruit.position.astype(q.dtype), harvest_orientation_cost(tip[:3, :3])
 
-    off, turned = HostKernel(errors, 1).run(q, double=True)
+    off, turned = HostKernel(errors, 1)(q, double=True)
     return np.linalg.norm(off, axis=1), turned
 
 
@@ -152,7 +152,7 @@ def scanned(robot: jaxik.Robot, kind: str, quick: bool) -> dict[str, Any]:
     for which, run in runs.items():
         found, seconds = warm(run, 3 if quick else 21)
         best = found.table.best(MARGIN_M)
-        values = {unit: each.run(found.table.q, double=True)[0] for unit, each in objectives.items()}
+        values = {unit: each(found.table.q, double=True)[0] for unit, each in objectives.items()}
         off, _ = tip_errors(robot, fruit, found.table.q[best : best + 1])
         rows[which] = {
             "J": {unit: float(each[best]) for unit, each in values.items()},

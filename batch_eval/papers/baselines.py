@@ -130,4 +130,4 @@ def harvest_objective(
 
 def evolved(how: Step, each: HostKernel, robot: jaxik.Robot, seeds: Sequence[int], generations: int, **more: Any) -> Evolved:
     """Minimises a kernel of one configuration inside the limits, once for each seed, by `genetic` or `differential`."""
-    return evolve(how, lambda q: each.run(q, double=True)[0], *robot.finite_limits, seeds, generations, **more)
+    return evolve(how, lambda q: each(q, double=True)[0], *robot.finite_limits, seeds, generations, **more)

@@ -164,7 +164,11 @@ def _checker(robot: jaxik.Robot, scene: jaxik.Scene | None) -> jaxik.spmd.HostKe
 def _hits(checker: jaxik.spmd.HostKernel, endless: np.ndarray, margin: float, q: np.ndarray) -> np.ndarray:
     """Whether each configuration (b, n) comes nearer than the margin; float32 has few digits left after many turns."""
     q = q - np.where(endless, 2.0 * np.pi * np.round(q / (2.0 * np.pi)), 0.0)
-    return checker.run(q, np.float32(margin), double=False, threads=_pool(), team=TEAM)[0]
+    try:
+        return checker.run(q, np.float32(margin), double=False, threads=_pool(), team=TEAM)[0]
+    except jaxik.spmd.Unsupported:  # by XLA, which compiles for each count of rows
+        filled = np.resize(q, (1 << len(q).bit_length(), q.shape[1]))
+        return checker(filled, np.float32(margin), double=False)[0][: len(q)]
 
 
 @functools.cache
