@@ -19,6 +19,7 @@ from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.limits import limit_of, motion_limits
+from jaxik.planning.plan_result import PlanResult
 from jaxik.planning.planner import plan_motion
 from jaxik.planning.world import World
 from jaxik.pytree import read_only, replaced
@@ -89,6 +90,7 @@ class Replanner:
         self._space = CollisionChecker(robot, self._scene, self.options.margin)
         self._course, self._time, self._tries = Course(read_only(q)), -np.inf, 0
         self._goal: np.ndarray | None = None
+        self._posture: np.ndarray | None = None  # of a goal that is a pose, which a way was found to
         self._asked = self._leads = self._open = False  # a new goal; the course leads to it; else, whether to search on
         self._told: tuple[Any, bool, Refusal | None] = None, False, None  # hit, late, refusal: why the course is this one
         warm_up(robot, self._space, self._scene, q, self._planned)
@@ -117,7 +119,7 @@ class Replanner:
             _inside(who, self.robot, goal)
         known = self._goal is not None and np.array_equal(goal, self._goal)
         if not (known and self._leads):  # a motion to it need not brake for it
-            self._goal, self._asked = goal, True
+            self._goal, self._posture, self._asked = goal, None, True
 
     def at(self, times: Any) -> Motion:
         """The set points at times () or (i,) [s] from the last update on: q, velocity and acceleration."""
@@ -228,9 +230,7 @@ class Replanner:
         self._told, self._open = (hit, late, None), False
         if self._goal is None:
             return False
-        self._tries += 1
-        seed = self.seed + self._tries
-        found = plan_motion(self.robot, stop.stop, self._goal, scene=self._scene, seed=seed, **self._planned)
+        found = self._way_from(stop.stop)
         if not found:
             self._told, self._open = (hit, late, Refusal.of(found)), found.reason == Reason.NOT_CONVERGED
             return False
@@ -240,6 +240,18 @@ class Replanner:
         if self._leads:
             self._course = course.since(time)
         return bool(self._leads)
+
+    def _way_from(self, start: np.ndarray) -> PlanResult:
+        """A way to the goal. To a pose it is one to the posture of the last way, where there still is one: to search for others
+        takes longer, and the robot does not change its mind."""
+        self._tries += 1
+        how: dict[str, Any] = {"scene": self._scene, "seed": self.seed + self._tries, **self._planned}
+        if self._posture is not None and (found := plan_motion(self.robot, start, self._posture, **how)):
+            return found
+        found = plan_motion(self.robot, start, self._goal, **how)
+        if found and self._goal is not None and self._goal.ndim == 2:
+            self._posture = found.waypoints[-1]
+        return found
 
 
 def _own(scene: Scene) -> Scene:

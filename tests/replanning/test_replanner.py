@@ -7,6 +7,7 @@ from panda_at_table import GOAL, LIMITS, MARGIN, RATE, START
 
 import jaxik
 from jaxik.collision import attach, with_room
+from jaxik.planning import motion_ends
 from jaxik.replanning import Event
 from jaxik.spmd import call
 
@@ -54,6 +55,14 @@ def test_what_drops_in_is_avoided_and_nothing_is_compiled(make, table, judge, mo
     for some, world in ((points[:4], table), (points[4:30], walled), (points[30:], more)):
         q = np.concatenate([each.q for each in some])
         assert not judge.collides(world, q).any() and judge.clearance(world, q[::20]).min() > MARGIN - 1e-5
+
+
+def test_on_the_way_to_a_pose_it_keeps_to_its_posture(make, table, monkeypatch):
+    arm, pose, asked = make(), np.asarray(jaxik.forward_kinematics(jaxik.load("panda"), GOAL)), []
+    monkeypatch.setattr(motion_ends, "solve_ik", lambda *args, **more: (asked.append(args), jaxik.solve_ik(*args, **more))[1])
+    commands, _ = driven(arm, {4: table.with_("wall", **WALL)}, 5, {0: pose})
+    assert [each.event for each in commands[::4]] == [Event.REPLANNED] * 2 and len(asked) == 1
+    np.testing.assert_allclose(commands[4].course.stop, commands[0].course.stop, atol=1e-12)
 
 
 def test_without_a_way_it_stops_and_goes_on_when_there_is_one(make, table, judge):
