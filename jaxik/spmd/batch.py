@@ -39,7 +39,7 @@ def threads() -> ThreadPoolExecutor:
 def ahead(kernel: HostKernel, ask: Callable[[], Any]) -> None:
     """Lets another thread ask a kernel that nobody has asked yet, so that it is there when it is needed, or soon: LLVM takes a
     core of its own. Nothing is done where there is one core."""
-    if not kernel.known and cores() > 1:
+    if kernel.unasked and cores() > 1:
         threads().submit(ask)
 
 

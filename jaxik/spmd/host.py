@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxik.garbage import uncollected
 from jaxik.platforms import after_fork
-from jaxik.spmd import call
+from jaxik.spmd import call, machine
 from jaxik.spmd.primitive import rows_by_xla
 from jaxik.spmd.program import Unsupported
 from jaxik.spmd.repeated import Repeated, Row, words
@@ -47,6 +47,7 @@ class HostKernel:
     def __init__(self, function: Callable[..., Any], lanes: int):
         self.function, self.lanes = function, lanes
         self.known: dict[Any, tuple[list[Any], call.Made, list[np.ndarray]]] = {}
+        self.refused: dict[Any, str] = {}  # why there is no kernel, which is not to be found out at each call
 
     def __reduce__(self) -> Any:
         return HostKernel, (self.function, self.lanes)  # another process makes its own
@@ -119,6 +120,11 @@ class HostKernel:
         """Whether the kernel for such arguments has been made in this process."""
         return self._keyed(args, double)[0] in self.known
 
+    @property
+    def unasked(self) -> bool:
+        """Whether nobody has asked for a kernel yet, where there may be one."""
+        return not (self.known or self.refused) and machine.llvm() is not None
+
     def _prepared(self, args: Any, double: bool | None) -> tuple[call.Made, list[np.ndarray], list[np.ndarray], int]:
         """The kernel, its operands, where its results go, and how many rows there are."""
         key, operands, count = self._keyed(args, double)
@@ -145,10 +151,20 @@ class HostKernel:
 
     def _once(self, key: Any) -> tuple[list[Any], call.Made, list[np.ndarray]]:
         """Makes a kernel, or waits for the thread that does."""
+        if jax.default_backend() != "cpu":
+            raise Unsupported("other platforms than a CPU")
+        if machine.llvm() is None:
+            raise Unsupported(call.NO_LLVM)
         with _making.setdefault(self, threading.RLock()):
+            if key in self.refused:
+                raise Unsupported(self.refused[key])
             found = self.known.get(key)
             if found is None:
-                found = self.known[key] = self._made(*key)
+                try:
+                    found = self.known[key] = self._made(*key)
+                except Unsupported as refusal:
+                    self.refused[key] = str(refusal)
+                    raise
             return found
 
     @functools.cached_property
@@ -162,8 +178,6 @@ class HostKernel:
     ) -> tuple[list[Any], call.Made, list[np.ndarray]]:
         """Returns what the results are, the kernel, and the large arrays that the function closes over, which are operands. The
         function is traced if no record tells them."""
-        if jax.default_backend() != "cpu":
-            raise Unsupported("other platforms than a CPU")
         shared = lambda count: tuple(k >= rows for k in range(count))
         name = record_name(self.function, tree, double, rows, shapes, kinds)
         record = None if name is None else recalled(name)

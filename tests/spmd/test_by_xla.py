@@ -14,7 +14,7 @@ from jax.scipy.linalg import cho_solve
 
 import jaxik
 from jaxik import spmd
-from jaxik.spmd import call, primitive
+from jaxik.spmd import call, host, primitive
 from jaxik.spmd.scalarise import scalarised
 from jaxik.spmd.trace import trace
 
@@ -232,3 +232,15 @@ def test_what_has_no_program_goes_as_it_is_written(monkeypatch):
 def test_random_programs(seed):
     """`tests/spmd/test_random.py` takes more of them, where llvmlite is not installed."""
     assert [said for _, said in program_generator.judged([seed]) if said not in ("", "ill-conditioned")] == []
+
+
+def test_a_kernel_that_is_refused_is_not_traced_again(monkeypatch):
+    """A trace takes up to seconds, and a driver calls a hundred times."""
+    traces = []
+    monkeypatch.setattr(host, "trace", lambda *args: (traces.append(args), trace(*args))[1])
+    twice = spmd.HostKernel(lambda x: 2.0 * x, 1)
+    for _ in range(3):
+        np.testing.assert_array_equal(twice(X)[0], 2.0 * X)
+        with pytest.raises(spmd.Unsupported):
+            twice.run(X)
+    assert len(traces) <= 1 and not twice.unasked
