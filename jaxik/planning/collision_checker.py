@@ -22,7 +22,7 @@ from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
 RESOLUTION = 1e-3  # [m] by which a motion must keep more than its margin to be proven free
-PIECE = 0.03
+PIECE = 0.03  # [m] of a motion that are proven at once
 CLOSE = 1e-5  # [m] the same, where that proves nothing; float32 allows no less
 
 
