@@ -470,13 +470,17 @@ def robot_trees(robot: Robot) -> RobotTrees:
 
 
 def pair_tables(robot: Robot) -> list[PairTable]:
-    """The robot's tables that speak of its links as they are; none where these are JAX arrays, which a kernel takes as
+    """The robot's tables that speak of its links as they are; none of links that are JAX arrays, which a kernel takes as
     operands."""
-    measured = jax.tree_util.tree_leaves((robot.parent_T_joint, robot.axis, robot.volumes, robot.boxes))
-    if not robot.pair_tables or any(isinstance(x, jax.Array) for x in measured):
+    if not robot.pair_tables or _has_arrays((robot.parent_T_joint, robot.axis)):
         return []
-    pairs = set(robot.self_pairs)
-    return [t for t in robot.pair_tables if t.links in pairs and t.geometry == geometry_between(robot, t.links, t.joints)]
+    pairs, open_links = set(robot.self_pairs), {each.link for each in (*robot.volumes, *robot.boxes) if _has_arrays(each)}
+    known = (t for t in robot.pair_tables if t.links in pairs and open_links.isdisjoint(t.links))
+    return [t for t in known if t.geometry == geometry_between(robot, t.links, t.joints)]
+
+
+def _has_arrays(tree: Any) -> bool:
+    return any(isinstance(x, jax.Array) for x in jax.tree_util.tree_leaves(tree))
 
 
 def _parts(links: tuple[int, ...], kinds: tuple[Volumes, ...]) -> Balls:

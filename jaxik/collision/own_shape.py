@@ -94,7 +94,12 @@ def told_below(usual: Any, margin: Any, resolution: Any = CLOSE) -> Any:
 
 def once(make: Callable[[Robot], Made]) -> Callable[[Robot], Made]:
     """Caches what a function makes of a robot, unless something in the robot is traced."""
-    known = functools.lru_cache(maxsize=64)(make)
+
+    @functools.lru_cache(maxsize=64)
+    def known(robot: Robot) -> Made:
+        with jax.ensure_compile_time_eval():  # what it holds are JAX arrays, and what is made of them would be traced
+            return make(robot)
+
     return functools.wraps(make)(lambda robot: known(robot) if robot.concrete else make(robot))
 
 

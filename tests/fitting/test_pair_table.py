@@ -180,6 +180,16 @@ def test_motions_are_proven_with_tables(arm, postures):
     assert np.all(least[~free] < 3e-3)
 
 
+def test_room_for_what_is_held_leaves_the_tables_of_other_links(arm, postures):
+    scene = jaxik.make_scene(spheres=[[3.0, 0.0, 0.0, 0.1]])
+    apart = lambda robot: np.asarray(jax.vmap(lambda q: jaxik.clearance(robot, scene, q))(postures[:200]))
+    with_room = jaxik.collision.with_room(arm, spheres=2)
+    np.testing.assert_allclose(apart(with_room), apart(arm), atol=1e-6)
+    near = jaxik.prepare(jaxik.clearance, with_room, scene)
+    np.testing.assert_allclose([near(q) for q in postures[:200]], apart(arm), atol=1e-6)
+    assert np.ptp(apart(dataclasses.replace(arm, pair_tables=())) - apart(arm)) > 1e-3
+
+
 def test_a_table_is_of_the_links_that_were_measured(arm, postures):
     """The table says nothing of others: a link made thicker, moved, or differentiated by."""
     apart = lambda robot: np.asarray(jax.vmap(lambda q: jaxik.clearance(robot, None, q))(postures[:200]))
