@@ -45,11 +45,11 @@ def attach(robot: Robot, scene: Scene, name: str, q: Float[Array, " n"], *, touc
 
     In a robot `with_room` it fills the room instead, a link that is there already: programs that were compiled for one object
     serve the next, and none. A robot that holds something puts it down where its programs go on with the robot with the empty
-    room, and the scene that has the object (`Scene.moved`).
+    room, and the scene that has the object (`Scene.moved`). What holds two things at once takes them as one object.
 
     With several tips `robot.with_tips(name)` chooses the one that grasps. Raises `ValueError` for an object that is
-    not there, has no obstacle, the name of a link or more obstacles than there is room for, for links that the robot does not
-    have, for a q of another shape, and for what is traced.
+    not there, has no obstacle, the name of a link or more obstacles than there is room for, for a room in which something is
+    held, for links that the robot does not have, for a q of another shape, and for what is traced.
     """
     check_kind("attach", "robot", robot, Robot)
     check_kind("attach", "scene", scene, Scene)
@@ -60,11 +60,14 @@ def attach(robot: Robot, scene: Scene, name: str, q: Float[Array, " n"], *, touc
         raise ValueError(no_such("attach", "object", str(name), scene.object_names))
     if name in robot.link_names:
         raise ValueError(f"attach: {robot.name} has a link '{shown(name)}' already; give the object another name")
-    free = _free(robot, touches := tuple(touches) if not isinstance(touches, str) else touches, last)
+    free = _free("attach", robot, touches := _as_links("attach", touches), last)
     posture = as_posture("attach", robot, q)
     room = room_of(robot)
     if room is not None and touches:
         raise ValueError("attach: touches of a robot with room; say them where the room is made (with_room)")
+    if room is not None and any(float(v.radius) > -FAR for v in robot.volumes if v.link == room):  # it would be nowhere
+        mend = "put it down first: attach to the robot with the empty room"
+        raise ValueError(f"attach: {robot.name} holds something in its room already; {mend}")
     frames = joint_frames(robot, posture.tolist(), Frame.of(robot.world_T_base)).joints
     joint_T_world = np.linalg.inv(frames[last - 1].matrices if last else Frame.of(robot.world_T_base).matrices)
     found = [*_carried(scene, name, joint_T_world, link if room is None else room)]
@@ -104,11 +107,14 @@ def with_room(
     radii in float32. The link is checked as `attach` says, but for the links that it `touches`. What is behind the room costs
     nearly nothing while it is empty.
 
-    Raises `ValueError` for a name that a link has, counts that are none or no room at all, links that the robot does not have,
-    and for a robot that convex parts or surfaces decide of.
+    Raises `ValueError` for a name that is none or that a link has, counts that are none or no room at all, links that the robot
+    does not have, and for a robot that convex parts or surfaces decide of, as of any with meshes (`load(.., meshes=True)`):
+    `dataclasses.replace(robot, surfaces=(), convex_parts=())` is the same robot, of which the volumes around its links decide.
     """
     check_kind("with_room", "robot", robot, Robot)
     check_known("with_room", robot=robot)
+    if not isinstance(name, str) or not name:
+        raise ValueError(f"with_room: name is {shown(name)!r}; write the name of a link, e.g. 'held'")
     if room_of(robot) is not None or name in robot.link_names:
         raise ValueError(f"with_room: {robot.name} has a link '{shown(name)}' or room already; take the robot without")
     if robot.surfaces or robot.convex_parts:
@@ -120,7 +126,8 @@ def with_room(
         raise ValueError(f"with_room: room for {sum(counts):,} volumes; allowed: 1 to {MOST:,}")
     last, link = robot.only_tip("with_room"), len(robot.link_names)
     nothing = [_nothing(robot, corners, link) for corners, count in enumerate(counts, 1) for _ in range(count)]
-    return _with_link(robot, name, last, _free(robot, touches, last), volumes=(*robot.volumes, *nothing))
+    free = _free("with_room", robot, _as_links("with_room", touches), last)
+    return _with_link(robot, name, last, free, volumes=(*robot.volumes, *nothing))
 
 
 def room_of(robot: Robot) -> int | None:
@@ -166,18 +173,20 @@ def _with_link(robot: Robot, name: str, joint: int, free: set[int], **shapes: An
     return dataclasses.replace(robot, link_names=names, link_joint=joints, link_offset=offset, self_pairs=pairs, **shapes)
 
 
-def _free(robot: Robot, touches: Iterable[str], last: int) -> set[int]:
+def _free(who: str, robot: Robot, touches: tuple[str, ...], last: int) -> set[int]:
     """The links that what is held is not checked against: those that it touches, and those that move with it."""
-    return _links(robot, touches) | {i for i, joint in enumerate(robot.link_joint) if joint == last}
-
-
-def _links(robot: Robot, names: Iterable[str]) -> set[int]:
-    if isinstance(names, str):
-        raise ValueError(f"attach: touches is '{shown(names)}'; write a list of links, ['{shown(names)}']")
-    for name in (names := list(names)):
+    for name in touches:
         if name not in robot.link_names:
-            raise ValueError(no_such(f"attach: {robot.name}", "link", str(name), robot.link_names))
-    return {robot.link_names.index(name) for name in names}
+            raise ValueError(no_such(f"{who}: {robot.name}", "link", str(name), robot.link_names))
+    touched = {robot.link_names.index(name) for name in touches}
+    return touched | {i for i, joint in enumerate(robot.link_joint) if joint == last}
+
+
+def _as_links(who: str, touches: Any) -> tuple[str, ...]:
+    if isinstance(touches, str) or not isinstance(touches, Iterable):
+        example = touches if isinstance(touches, str) else "link"
+        raise ValueError(f"{who}: touches is '{shown(touches)}'; write a list of links, ['{shown(example)}']")
+    return tuple(touches)
 
 
 Carried = tuple[Box | Volume, np.ndarray, float]

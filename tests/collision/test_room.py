@@ -1,5 +1,6 @@
 """A robot with room for what it holds: programs that are compiled once serve whatever it holds, and nothing."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -107,7 +108,10 @@ def test_motions_with_other_things_held_compile_nothing(scene, monkeypatch):
         (lambda s: with_room(ARM), "or room already"),
         (lambda s: with_room(PANDA, spheres=0), "room for 0 volumes; allowed: 1 to 1,000"),
         (lambda s: with_room(PANDA, spheres=-1), "spheres is -1; allowed: a count"),
-        (lambda s: with_room(PANDA, touches=["hend"]), "no link 'hend'"),
+        (lambda s: with_room(PANDA, touches=["hend"]), "with_room: panda: no link 'hend'"),
+        (lambda s: with_room(PANDA, touches="panda_link7"), r"with_room: touches is 'panda_link7'; write a list of links"),
+        (lambda s: with_room(PANDA, name=""), "with_room: name is ''; write the name of a link"),
+        (lambda s: attach(attach(ARM, s, "ball", GRASP).robot, s, "crate", GRASP), "holds something in its room already; put"),
         (
             lambda s: attach(with_room(PANDA, spheres=2), s, "crate", GRASP),
             r"takes 8 spheres with room for 2; make more \(with_room",
@@ -122,6 +126,21 @@ def test_bad_use_is_one_line(scene, use, words):
     with pytest.raises(ValueError, match=words) as error:
         use(scene)
     assert "\n" not in str(error.value)
+
+
+CALLS = {
+    "clearance": lambda robot, scene: jaxik.clearance(robot, scene, GRASP),
+    "collides": lambda robot, scene: jaxik.collides(robot, scene, GRASP),
+    "jit": lambda robot, scene: jax.jit(jaxik.clearance, static_argnums=0)(robot, scene, GRASP),
+    "motion_clearance": lambda robot, scene: jaxik.motion_clearance(robot, scene, GRASP, Q[0]).clearance,
+}
+
+
+def test_one_function_leaves_nothing_traced_to_the_next(scene):
+    expected = {name: call(PANDA, scene) for name, call in CALLS.items()}
+    for spheres, first in enumerate(CALLS, start=1):  # another robot each: what is made of one is kept
+        arm = with_room(PANDA, spheres=spheres)
+        assert {name: call(arm, scene) for name, call in ({first: CALLS[first]} | CALLS).items()} == pytest.approx(expected)
 
 
 def test_it_is_told_by_name(scene):
