@@ -111,12 +111,14 @@ def volume_solids(robot: Robot) -> list[tuple[int, Solid]]:
         for local in (local_volumes(robot, count) for count in (1, 2, 3))
         if local is not None
         for corners, radius, link in zip(*local, strict=True)
+        if radius >= 0.0  # else room for what is held, with nothing in it
     ]
 
 
 def box_solids(robot: Robot) -> list[tuple[int, Solid]]:
     """The robot's boxes and volumes as its file has them, each with its link, in the frame of the link's joint."""
-    volumes = [(v.link, Solid(robot.link_names[v.link], np.asarray(v.corners), float(v.radius))) for v in robot.volumes]
+    told = [v for v in robot.volumes if v.radius >= 0.0]  # and no room for what is held, with nothing in it
+    volumes = [(v.link, Solid(robot.link_names[v.link], np.asarray(v.corners), float(v.radius))) for v in told]
     boxes = [(b.link, Solid(robot.link_names[b.link], _placed(_BOX * b.half, b.joint_T_box), 0.0)) for b in robot.boxes]
     return boxes + volumes
 

@@ -9,7 +9,7 @@ import pytest
 import jaxik
 from jaxik.view import Page
 from jaxik.view.palette import CHOSEN, COLOURS, LEFT_OUT, PARTLY, rgb
-from jaxik.view.solids import Solid, scene_points, scene_solids
+from jaxik.view.solids import Solid, box_solids, scene_points, scene_solids, volume_solids
 from jaxik.view.sweep_picture import categories, plot_sweep, variant_map
 
 STUDY = {
@@ -281,3 +281,13 @@ def test_a_robot_without_meshes_is_its_volumes(name, drawn):
     assert len(page.unchecked.rows) + len(robot.self_pairs) == len(solid) * (len(solid) - 1) // 2
     assert "by the robot's file" in page.unchecked.list.content
     page.close()
+
+
+def test_room_for_what_is_held_is_not_drawn_until_something_is():
+    robot, scene = jaxik.load("panda"), jaxik.make_scene(spheres=[[0.5, 0.0, 0.4, 0.03]])
+    arm = jaxik.collision.with_room(robot, spheres=8, capsules=1, triangles=2)
+    held = jaxik.collision.attach(arm, scene, "spheres_1", np.zeros(7)).robot
+    for solids in (box_solids, volume_solids):
+        drawn = len(solids(robot))
+        assert [len(solids(each)) for each in (arm, held)] == [drawn, drawn + 1]
+        assert solids(held)[-1][1].span.shape == (2, 3)
