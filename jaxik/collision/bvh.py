@@ -415,7 +415,7 @@ class Volumes:
 
     def __init__(self, robot: Robot, links: tuple[int, ...], corners: Any, radius: Any, link: np.ndarray):
         known, self.arity = is_known((corners, radius)), int(corners.shape[1])
-        fixed, xp = ((corners, radius), np) if known else (lax.stop_gradient((corners, radius)), jnp)
+        fixed, xp = ((np.asarray(corners), np.asarray(radius)), np) if known else (lax.stop_gradient((corners, radius)), jnp)
         center, reach = balls_of(*fixed, xp)
         groups = [np.flatnonzero(link == each) for each in links]
         full = lambda n: sum(-(-len(g) // n) * n for g in groups) <= 1.5 * len(link)  # not a third of the places empty
