@@ -415,8 +415,9 @@ class Volumes:
 
     def __init__(self, robot: Robot, links: tuple[int, ...], corners: Any, radius: Any, link: np.ndarray):
         known, self.arity = is_known((corners, radius)), int(corners.shape[1])
-        fixed, xp = ((np.asarray(corners), np.asarray(radius)), np) if known else (lax.stop_gradient((corners, radius)), jnp)
-        center, reach = balls_of(*fixed, xp)
+        told: tuple[Any, Any] = (corners, radius)
+        fixed, xp = (tuple(map(np.asarray, told)), np) if known else (lax.stop_gradient(told), jnp)
+        center, reach = balls_of(fixed[0], fixed[1], xp)
         groups = [np.flatnonzero(link == each) for each in links]
         full = lambda n: sum(-(-len(g) // n) * n for g in groups) <= 1.5 * len(link)  # not a third of the places empty
         self.size = size = next(filter(full, (8, 4, 2, 1))) if self.arity == 1 else 1
@@ -474,7 +475,8 @@ def pair_tables(robot: Robot) -> list[PairTable]:
     operands."""
     if not robot.pair_tables or _has_arrays((robot.parent_T_joint, robot.axis)):
         return []
-    pairs, open_links = set(robot.self_pairs), {each.link for each in (*robot.volumes, *robot.boxes) if _has_arrays(each)}
+    solids: tuple[Any, ...] = (*robot.volumes, *robot.boxes)
+    pairs, open_links = set(robot.self_pairs), {each.link for each in solids if _has_arrays(each)}
     known = (t for t in robot.pair_tables if t.links in pairs and open_links.isdisjoint(t.links))
     return [t for t in known if t.geometry == geometry_between(robot, t.links, t.joints)]
 
