@@ -44,8 +44,9 @@ def walk(leaves: Any, meets: Callable[[Any, Any], tuple[Any, Any]], inside: Call
 
     def step(at: _Place, state: Any) -> _Place:
         """Both halves at once, since a walk waits for what it reads of a box."""
-        (first, near), (second, far) = meets(2 * at.box, state), meets(2 * at.box + 1, state)
-        first &= at.box > 0  # of which the root is the second half
+        # the walk begins at number 0, of which the root is the second half, and which has no other
+        (first, near), (second, far) = meets(jnp.maximum(2 * at.box, 1), state), meets(2 * at.box + 1, state)
+        first &= at.box > 0
         swapped, one = ~first | (second & (far < near)), first ^ second
         down = _Place(2 * at.box + swapped, 2 * at.trail + one, at.over)
         return jax.tree_util.tree_map(lambda a, b: jnp.where(first | second, a, b), down, upwards(at))
