@@ -113,8 +113,9 @@ class CloudSearch:
             apart = way.dot(way)
             return (lax.pmax(near.astype(jnp.int32), TEAM) > 0, lax.pmin(apart, TEAM)) if team else (near, apart)
 
-        leaves = jnp.int32(self.leaves)  # a lane of its own goes its own way
-        return tree_walk.walk(leaves if team else jnp.full_like(found.distance, leaves, jnp.int32), meets, measured, found)
+        # lanes that are no team walk each for itself, which a count of leaves that differs from lane to lane says
+        leaves = jnp.int32(self.leaves) if team else jnp.full_like(found.distance, self.leaves, jnp.int32)
+        return tree_walk.walk(leaves, meets, measured, found)
 
 
 def _aside(corners: tuple[Vec3, ...]) -> Callable[[Vec3, Vec3, Any], Any]:

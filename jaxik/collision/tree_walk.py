@@ -1,4 +1,4 @@
-"""A walk through a binary tree of boxes, in which every lane of a kernel goes its own way, without a stack.
+"""A walk through a binary tree of boxes without a stack, in which every lane of a kernel goes its own way, or a team one way.
 
 Box 1 is the root and box i has the halves 2 i and 2 i + 1. So a box's number says which boxes are above it, and a number of as
 many bits which of these have been looked into on both sides: the walk counts it up. A lane that has come to a leaf waits for
