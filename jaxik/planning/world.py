@@ -75,19 +75,17 @@ class World:
             self.around, self.sizes = _scene(scene, robot)  # type: ignore[arg-type]
         self.body = Body(packed(own_shapes(robot) if self.several else (), np.float32), carried)
 
-    def run(
-        self, kernels: Kernels, *rows: np.ndarray, among: np.ndarray, shared: tuple[Any, ...] = (), size: int = 1
-    ) -> list[np.ndarray]:
+    def run(self, kernels: Kernels, *rows: np.ndarray, among: np.ndarray, shared: tuple[Any, ...] = ()) -> list[np.ndarray]:
         """The results' leaves of a kernel of `in_world` over rows (b, ...), each `among` what is in the scene of such a number
-        (b,). Rows are taken `size` at a time where XLA has to do it."""
+        (b,). Where XLA has to do it, rows go one by one: most calls have few, and what fills up a block costs as much."""
         kernel = kernels(self.robot, self.several)
         if not self.several:
-            return in_blocks(kernel, *rows, size=size, fixed=(self.around, self.body, *shared), double=False)
+            return in_blocks(kernel, *rows, size=1, fixed=(self.around, self.body, *shared), double=False)
         most = max(1, COPIED // max(1, sum(x[0].nbytes for x in self.around.rows)))
 
         def part(some: slice) -> list[np.ndarray]:
             around = jax.tree_util.tree_map(lambda x: x[among[some]], self.around)
-            return in_blocks(kernel, *(x[some] for x in rows), around, size=size, fixed=(self.body, *shared), double=False)
+            return in_blocks(kernel, *(x[some] for x in rows), around, size=1, fixed=(self.body, *shared), double=False)
 
         parts = [part(slice(first, first + most)) for first in range(0, max(1, len(among)), most)]
         return [np.concatenate(each) for each in zip(*parts, strict=True)]
@@ -106,7 +104,7 @@ class World:
             places, scenes = _places(among)
             asked = asked[places]
         rows = [_sixteens(asked)] + [self.sizes[scenes]] * sized
-        holds = _bits(self.run(kernels, *rows, among=scenes, shared=shared, size=TEAM_SIZE), len(asked))
+        holds = _bits(self.run(kernels, *rows, among=scenes, shared=shared), len(asked))
         return holds if places is None else holds[np.unique(places, return_index=True)[1]]
 
 
