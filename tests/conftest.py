@@ -61,6 +61,7 @@ def has_kernels():
 def pytest_configure(config):
     if not has_kernels():  # the one warning that everything runs by XLA is as it should be
         config.addinivalue_line("filterwarnings", "ignore:jaxik.kernel. everything runs by XLA:UserWarning")
+        os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # for processes that tests start, too: the same bits
 
 
 def pytest_collection_modifyitems(config, items):

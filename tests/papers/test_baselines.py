@@ -68,7 +68,8 @@ def test_the_objective_among_leaves_is_the_printed_one(kind):
     found = jaxik.harvesting.scan(P6R, scene, fruit, angles=12, slides=5)
     rng = np.random.default_rng(0)
     q = np.concatenate([found.table.q[:20], rng.uniform(P6R.lower, P6R.upper, (20, 7))]).astype(np.float64)
-    ours = harvest_objective(P6R, scene, fruit).run(q, double=True)[0]
+    with jax.enable_x64(True):
+        (ours,) = harvest_objective(P6R, scene, fruit)(q)
     for each, tip, value in zip(q, tips_in_the_world(q), ours, strict=True):
         with jax.enable_x64(True):
             centres, radii = jaxik.collision.robot_spheres(P6R, jnp.asarray(each))
