@@ -28,3 +28,11 @@ def manual(aval: Any) -> dict[str, Any]:
 def varying(aval: Any) -> frozenset[str]:
     """The manual axes of a mesh along which an array differs."""
     return aval.mat.varying if MANUAL == "manual_axis_type" else aval.vma
+
+
+def scanned(params: Any) -> tuple[int, int]:
+    """How many constants a scan has, and how many values it carries. From 0.11 on all its arguments are one tree."""
+    if "ft_in" in params:
+        constants, carried, _ = map(len, params["ft_in"].unpack())
+        return constants, carried
+    return params["num_consts"], params["num_carry"]

@@ -15,6 +15,8 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Var
 
+from jaxik.spmd.jax_version import scanned
+
 ZERO, LINEAR, OTHER = range(3)  # what a value is as a function of the seeds; OTHER does not depend on them
 _ENTRIES = {  # whose operands, so many from the first (all: None), are moved, added or scaled by numbers
     **dict.fromkeys(("add", "add_any", "sub", "neg", "copy", "convert_element_type", "reduce_precision", "reshape")),
@@ -82,7 +84,7 @@ def bodies(eqn: Any) -> Iterator[tuple[Jaxpr, Sequence[Any], list[tuple[Any, ...
             for branch in params["branches"]:
                 yield branch.jaxpr, eqn.invars[1:], outs
         case "scan":
-            body, k, m = params["jaxpr"].jaxpr, params["num_consts"], params["num_carry"]
+            body, (k, m) = params["jaxpr"].jaxpr, scanned(params)
             yield body, eqn.invars, [(v, *body.invars[k + i : k + min(i + 1, m)]) for i, v in enumerate(eqn.outvars)]
         case "while":
             test, body, k, m = (
@@ -150,10 +152,10 @@ def _through(eqn: Any, given: Sequence[int]) -> list[int]:
         _independent(given[:1])
         return [_joined(*each) for each in zip(*(_walked(body, {}, given[1:]) for body in inner), strict=True)]
     if name == "scan":
-        return _repeated(eqn, inner[0], given, eqn.params["num_consts"])
+        return _repeated(inner[0], given, *scanned(eqn.params))
     if name == "while":
-        first = eqn.params["cond_nconsts"]
-        found = _repeated(eqn, inner[0], given[first:], eqn.params["body_nconsts"])
+        first, consts = eqn.params["cond_nconsts"], eqn.params["body_nconsts"]
+        found = _repeated(inner[0], given[first:], consts, len(given) - first - consts)
         _independent(_walked(inner[1], {}, [*given[:first], *found]))
         return found
     if inner:
@@ -161,9 +163,8 @@ def _through(eqn: Any, given: Sequence[int]) -> list[int]:
     return [_entries(name, given)] * count if name != "optimization_barrier" else list(given)
 
 
-def _repeated(eqn: Any, body: Jaxpr, given: Sequence[int], consts: int) -> list[int]:
-    """Returns what a loop carries, until it stays the same, and what it stacks."""
-    count = eqn.params.get("num_carry", len(given) - consts)
+def _repeated(body: Jaxpr, given: Sequence[int], consts: int, count: int) -> list[int]:
+    """Returns what a loop carries, `count` values behind its constants, until it stays the same, and what it stacks."""
     carried = list(given[consts : consts + count])
     while True:
         found = _walked(body, {}, [*given[:consts], *carried, *given[consts + count :]])

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jax.extend.core import Jaxpr, Literal
 
+from jaxik.spmd.jax_version import scanned
 from jaxik.spmd.scalarise import (
     FLAT,
     KEPT,
@@ -220,7 +221,7 @@ def _while(s: Scalariser, eqn: Any, *args: Array) -> list[Array]:
 @rule("scan")
 def _scan(s: Scalariser, eqn: Any, *args: Array) -> list[Array]:
     params, p = eqn.params, s.program
-    k, m, length, body = params["num_consts"], params["num_carry"], params["length"], params["jaxpr"]
+    (k, m), length, body = scanned(params), params["length"], params["jaxpr"]
     consts, init, xs = args[:k], args[k : k + m], args[k + m :]
     outputs = eqn.outvars[m:]
     order = range(length)[::-1] if params["reverse"] else range(length)
