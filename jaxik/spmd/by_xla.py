@@ -1,4 +1,4 @@
-"""A program by XLA on a CPU, as quick as XLA's CPU backend can be made to run it.
+"""A program by XLA, as quick as XLA's backends can be made to run it: any on a CPU, those without loops on a GPU.
 
 Operations are collected until something comes that is none on single numbers (a loop, a read at a computed index), and all of
 them become one loop over the batch (`windows`). The program's own loops turn around blocks of the batch, and a branch is run if
@@ -18,16 +18,17 @@ from jax import lax
 
 from jaxik.spmd.liveness import Liveness, users_of
 from jaxik.spmd.program import DTYPES, FLOATS, Branch, Load, Loop, Memory, Program, Store, Unsupported, Whole
-from jaxik.spmd.windows import Value, applied, compute, constant, given, written
+from jaxik.spmd.windows import CPU, Value, applied, compute, constant, given, written
 
 TOGETHER = 3000  # operations of one loop over the batch: LLVM's time grows faster than their number
 BLOCK = 4096  # lanes that go through a program together: what they have stays in the caches
 JOINED = 256  # operations up to which turns are joined, so that what a loop carries is read and written less often
 
 
-def by_xla(program: Program, operands: Sequence[Any], grid: tuple[int, int]) -> list[Any]:
+def by_xla(program: Program, operands: Sequence[Any], grid: tuple[int, int], front: tuple[int, ...] = CPU) -> list[Any]:
     """The results (outer, inner, size) of a program by ordinary operations. `operands` are (outer, inner, size), with 1 where
-    lanes share them, in a grid of (outer, inner) lanes. Raises `Unsupported` for a team of lanes."""
+    lanes share them, in a grid of (outer, inner) lanes; `front` is for which backend (`windows`). Raises `Unsupported` for a
+    team of lanes, and for loops and branches where it is not a CPU."""
     if program.team:
         raise Unsupported("a team of lanes, by XLA")
     lanes = grid[0] * grid[1]
@@ -37,12 +38,14 @@ def by_xla(program: Program, operands: Sequence[Any], grid: tuple[int, int]) -> 
     live = Liveness(program, [not each for each in own], one_row=False)
     users = users_of(program, live)
     turns = any(program.ops[v].code in ("loop", "branch") for v in live.needed)  # all else is one loop, and goes to no memory
+    if turns and front != CPU:
+        raise Unsupported("loops and branches, by XLA on a GPU")
 
     def block(rows: Sequence[Any]) -> list[Any]:
         """The results of some lanes."""
         mine = iter(rows)
-        columns = [written(next(mine).T) if x is None else x for x in shared]
-        return _Lanes(program, live, users, columns, len(rows[0]) if rows else 1).results()
+        columns = [written(next(mine).T, front) if x is None else x for x in shared]
+        return _Lanes(program, live, users, columns, len(rows[0]) if rows else 1, front).results()
 
     with jax.enable_x64(True):  # the program says how wide each number is
         many = -(-lanes // BLOCK) if rows and turns else 1
@@ -58,8 +61,17 @@ def by_xla(program: Program, operands: Sequence[Any], grid: tuple[int, int]) -> 
 class _Lanes:
     """The lanes of a batch, all of which go through a block of operations together."""
 
-    def __init__(self, program: Program, live: Liveness, users: dict[int, set[int]], operands: Sequence[Any], count: int):
-        self.program, self.live, self.users, self.operands, self.count = program, live, users, operands, count
+    def __init__(
+        self,
+        program: Program,
+        live: Liveness,
+        users: dict[int, set[int]],
+        operands: Sequence[Any],
+        count: int,
+        front: tuple[int, ...],
+    ):
+        self.program, self.live, self.users, self.operands = program, live, users, operands
+        self.count, self.front = count, front
         self.memory: dict[int, Any] = {}  # scratch, (size, lanes)
         self.rows: dict[int, dict[int, Value]] = {}  # what is known to lie there, by its place
         self.mask: Any = None  # the lanes that take part, where not all do
@@ -130,8 +142,8 @@ class _Lanes:
             asked |= {id(x): x for _, _, x in self.stores if x.array is None}
             shared = [x for x in waiting if not x.wide]
             used = {id(a): a for x in waiting if x.wide for a in x.args if not a.wide and a.array is None}
-            compute(shared, [x for k, x in (asked | used).items() if not x.wide], ())
-            compute([x for x in waiting if x.wide], [x for x in asked.values() if x.wide], (self.count,))
+            compute(shared, [x for k, x in (asked | used).items() if not x.wide], (), self.front)
+            compute([x for x in waiting if x.wide], [x for x in asked.values() if x.wide], (self.count,), self.front)
             self.env = {v: x for v, x in self.env.items() if x.array is not None}
         stores, self.stores = self.stores, []
         for memory, group in itertools.groupby(stores, lambda each: each[0].memory):

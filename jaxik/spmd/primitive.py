@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import threading
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -20,6 +21,7 @@ from jaxik.spmd.by_xla import by_xla
 from jaxik.spmd.jax_version import manual, varied, varying
 from jaxik.spmd.scalarise import RULES, Array, Scalariser, Unsupported, scalarised, type_of
 from jaxik.spmd.trace import Traced, is_float, is_smooth, on_one_device, replaced, trace
+from jaxik.spmd.windows import CPU, GPU
 
 Masks = tuple[tuple[bool, ...], ...]  # for each operand, which axes of the batch it has
 
@@ -207,8 +209,8 @@ def _by_xla(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) ->
     return list(function(*args))
 
 
-def _in_lanes(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
-    """The program by XLA on a CPU; as it was written where there is no such program, or an export leaves the batch open."""
+def _in_lanes(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks, front: tuple[int, ...] = CPU) -> list[Any]:
+    """The program by XLA; as it was written where there is no such program, or an export leaves the batch open."""
     outputs = traced.outputs
     if not all(isinstance(n, int) for n in batch):
         return _by_xla(*args, traced=traced, batch=batch, masks=masks)
@@ -216,7 +218,7 @@ def _in_lanes(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) 
         return [jnp.zeros((*batch, *a.shape), a.dtype) for a in outputs]
     grid, operands, _ = _grid(args, traced, batch, masks)
     try:
-        found = by_xla(scalarised(traced), operands, grid)
+        found = by_xla(scalarised(traced), operands, grid, front)
     except (Unsupported, RecursionError):
         return _by_xla(*args, traced=traced, batch=batch, masks=masks)
     return [x.reshape(*batch, *a.shape).astype(a.dtype) for x, a in zip(found, outputs, strict=True)]
@@ -315,16 +317,28 @@ def warn(traced: Traced, why: str) -> None:
         warnings.warn(f"jaxik.kernel: {name} runs by XLA: a kernel cannot do {why}", stacklevel=2)
 
 
+_on_gpu = functools.partial(_in_lanes, front=GPU)
+_lowering = threading.local()  # `inside`: of another kernel
+
+
 def _lowered(ctx: Any, *args: Any, way: Callable[..., Any], **params: Any) -> Any:
+    inside = getattr(_lowering, "inside", False)
     if ctx.module_context.lowering_parameters.for_export and way is _on_cpu:
         way = _in_lanes  # another process has no kernel of that name
+    elif inside and way is _on_gpu:
+        way = _by_xla  # a GPU waits for each loop to begin, and in a loop of the other kernel that is most of the time
     plain = [jax.core.ShapedArray(a.shape, a.dtype) for a in ctx.avals_in]
-    with on_one_device():
-        return mlir.lower_fun(way, multiple_results=True)(ctx.replace(avals_in=plain), *args, **params)
+    _lowering.inside = True
+    try:
+        with on_one_device():
+            return mlir.lower_fun(way, multiple_results=True)(ctx.replace(avals_in=plain), *args, **params)
+    finally:
+        _lowering.inside = inside
 
 
 mlir.register_lowering(kernel_p, functools.partial(_lowered, way=_by_xla))
 mlir.register_lowering(kernel_p, functools.partial(_lowered, way=_on_cpu), platform="cpu")
+mlir.register_lowering(kernel_p, functools.partial(_lowered, way=_on_gpu), platform="cuda")
 
 
 def _inlined(s: Scalariser, eqn: Any, *xs: Array) -> list[Array]:

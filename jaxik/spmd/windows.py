@@ -3,7 +3,7 @@
 XLA's CPU backend gives each result of a row of operations a loop of its own, and computes in it again whatever several results
 share. Only a `reduce` of several arrays is one loop with many results: XLA fuses into it all that its arrays are made of,
 what is read from memory included. So operations on single numbers wait as `Value`s, and `compute` makes all of them such a
-`reduce`.
+`reduce`. Its GPU backend makes one loop of many results by itself, if nothing that uses them is fused into it as well.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
 _TYPED: dict[str, Callable[..., Any]] = {"convert": lax.convert_element_type, "bitcast": lax.bitcast_convert_type}
 _DEAR = ("fdiv", "frem", "sqrt", "libm_sin", "libm_cos", "libm_tan", "libm_pow")  # what XLA does not fuse with several others
 _ONE = {kind: DTYPES[kind].type(1) for kind in FLOATS}
-RESULTS = 96  # of one loop: LLVM makes no vectors of one that writes to some 200 arrays
+RESULTS = 96  # of one loop on a CPU: LLVM makes no vectors of one that writes to some 200 arrays
+CPU, GPU = (2,), ()  # the axes that arrays have in front of the lanes: for a CPU two equal rows, which are reduced to one
 
 
 class Value:
@@ -57,43 +58,45 @@ def applied(code: str, kind: str, args: Sequence[Any]) -> Any:
     return _OPERATIONS[code](*args)
 
 
-def compute(waiting: Sequence[Value], kept: Sequence[Value], shape: tuple[int, ...]) -> None:
+def compute(waiting: Sequence[Value], kept: Sequence[Value], shape: tuple[int, ...], front: tuple[int, ...]) -> None:
     """Gives the values that are `kept` their arrays, of a shape: (lanes,), or () where all lanes have them in common; `waiting`
-    are all that they may be made of, in order."""
-    for some in (kept[k : k + RESULTS] for k in range(0, len(kept), RESULTS)):
-        _compute(waiting, some, shape)
+    are all that they may be made of, in order; `front` is `CPU` or `GPU`."""
+    most = RESULTS if front == CPU else max(1, len(kept))
+    for some in (kept[k : k + most] for k in range(0, len(kept), most)):
+        _compute(waiting, some, shape, front)
 
 
-def _compute(waiting: Sequence[Value], kept: Sequence[Value], shape: tuple[int, ...]) -> None:
+def _compute(waiting: Sequence[Value], kept: Sequence[Value], shape: tuple[int, ...], front: tuple[int, ...]) -> None:
     needed = _needed(kept)
     chain = [x for x in waiting if id(x) in needed]
     inputs = {id(a): a for x in chain for a in x.args if a.code != "const" and id(a) not in needed}
-    one, arrays = lax.optimization_barrier((_ONE, [_twice(a.array, shape) for a in inputs.values()]))
+    spread = lambda array: jnp.broadcast_to(array, (*front, *shape))
+    one, arrays = lax.optimization_barrier((_ONE, [spread(a.array) for a in inputs.values()]))
     found = dict(zip(inputs, arrays, strict=True))
     for x in chain:
-        args = [_twice(a.array, shape) if a.code == "const" else found[id(a)] for a in x.args]
+        args = [spread(a.array) if a.code == "const" else found[id(a)] for a in x.args]
         if _divides_by_extreme(x) or (_by_constant(x) and any(map(_by_constant, x.args))):
             args = lax.optimization_barrier(args)
         found[id(x)] = applied(x.code, x.kind, args)
         if x.code in _DEAR and x.kind in FLOATS:
-            found[id(x)] *= _twice(one[x.kind], shape)
-    for x, array in zip(kept, _together([found[id(x)] for x in kept]), strict=True):
+            found[id(x)] *= spread(one[x.kind])
+    for x, array in zip(kept, _together([found[id(x)] for x in kept], front), strict=True):
         x.array = array
 
 
-def written(array: Any) -> Any:
+def written(array: Any, front: tuple[int, ...]) -> Any:
     """An array as it is, written to memory: what reads it in several places is not to find it out anew each time."""
-    return _together([_twice(array, array.shape)])[0]
+    return _together([jnp.broadcast_to(array, (*front, *array.shape))], front)[0]
 
 
-def _twice(array: Any, shape: tuple[int, ...]) -> Any:
-    """Two equal rows: of one, XLA would not make a reduction."""
-    return jnp.broadcast_to(array, (2, *shape))
+def _together(arrays: Sequence[Any], front: tuple[int, ...]) -> list[Any]:
+    """The arrays, without the axes in front, which XLA computes in one loop."""
+    return _reduced(arrays) if front else list(lax.optimization_barrier(tuple(arrays)))
 
 
-def _together(arrays: Sequence[Any]) -> list[Any]:
-    """The second rows of arrays of two equal rows, which XLA computes in one loop. Two arrays at least, since a reduction of
-    one alone may be computed again by whoever asks for it; all floats in one width, since XLA reduces no two together."""
+def _reduced(arrays: Sequence[Any]) -> list[Any]:
+    """The second rows of arrays of two equal rows. Two arrays at least, since a reduction of one alone may be computed again by
+    whoever asks for it; all floats in one width, since XLA reduces no two together."""
     floats = [x.dtype for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)]
     many = [x.astype(max(floats, key=lambda dtype: dtype.itemsize)) if x.dtype in floats else x for x in arrays]
     many = many if len(many) > 1 else [*many, *many]

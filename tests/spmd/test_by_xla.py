@@ -10,6 +10,7 @@ import numpy as np
 import program_generator
 import pytest
 from jax import lax
+from jax._src.interpreters import mlir
 from jax.scipy.linalg import cho_solve
 
 import jaxik
@@ -38,6 +39,13 @@ def no_kernels(monkeypatch):
     jax.clear_caches()
 
 
+@pytest.fixture
+def like_a_gpu(monkeypatch):
+    """Lowers kernels as for a GPU. The barriers that its backend needs change no number on a CPU."""
+    rules = mlir._platform_specific_lowerings["cpu"]
+    monkeypatch.setitem(rules, primitive.kernel_p, mlir._platform_specific_lowerings["cuda"][primitive.kernel_p])
+
+
 def over(function, *rows, axes=0):
     return jax.jit(jax.vmap(spmd.kernel(function), axes))(*rows)
 
@@ -53,6 +61,25 @@ def test_a_row_of_operations_with_a_shared_operand():
     close(found[0], np.sin(X @ matrix.T))
     np.testing.assert_array_equal(found[1], X.max(1) > 0.5)
     np.testing.assert_array_equal(found[2], X.argmin(1))
+
+
+@pytest.mark.parametrize("function", [jaxik.forward_kinematics, jaxik.jacobian, jaxik.dynamics.mass_matrix])
+def test_robots_on_a_gpu(like_a_gpu, function):
+    """One loop, whose results stand alone until all are there, instead of XLA's own choice: 3 times as fast on a GPU."""
+    robot = jaxik.load("crops_v2")
+    q = RNG.uniform(robot.lower, robot.upper, (9, robot.num_joints))
+    batch = jax.jit(jax.vmap(functools.partial(function, robot)))
+    assert "optimization_barrier" in batch.lower(q).as_text() and "reduce" not in batch.lower(q).as_text()
+    close(batch(q), np.stack([np.asarray(function.__wrapped__(robot, row)) for row in q]), 1e-11)
+
+
+def test_loops_and_what_is_inside_of_them_go_to_a_gpu_as_they_are_written(like_a_gpu, monkeypatch):
+    """A GPU takes time to begin with each of XLA's loops over a batch; inside of another kernel's that is most of it."""
+    monkeypatch.setattr(primitive, "_by_xla", AS_WRITTEN)
+    inner = spmd.kernel(lambda x: jnp.sum(jnp.sin(x)))
+    found = jax.jit(jax.vmap(spmd.kernel(lambda x: lax.fori_loop(0, 400, lambda _, c: 0.5 * c + inner(x), 1.0))))
+    assert "optimization_barrier" not in found.lower(X).as_text()
+    close(found(X), 2.0 * np.sin(X).sum(1), 1e-9)
 
 
 def test_two_axes_and_one_configuration():
