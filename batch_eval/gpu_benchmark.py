@@ -29,6 +29,8 @@ from race import PLAIN, Entry, alone, clocked, compiled, from_scratch, machine, 
 from setups import problems
 
 import jaxik
+from jaxik.collision import clearance_to_spheres
+from jaxik.dynamics import forward_dynamics, inverse_dynamics
 
 Row = Callable[[bool], dict[str, Any]]  # of "small", what it measured
 
@@ -62,6 +64,12 @@ def batch(function: Callable[..., Any], *args: Any) -> tuple[dict[str, Any], Any
 def off(values: Any, true: np.ndarray) -> float:
     """The largest deviation of the first ones."""
     return float(np.max(np.abs(np.asarray(values[: len(true)], np.float64) - true)))
+
+
+def memory(small: bool) -> dict[str, Any]:
+    """A sum that reads and writes a large array: no function that moves as much can be faster, by whatever compiler."""
+    row, _ = batch(lambda x: x + 1.0, np.zeros(2**20 if small else 2**29, np.float32))
+    return row | {"bytes_per_second": 8 * row.pop("per_second")}
 
 
 def kinematics(function: Callable[..., Any], true: Callable[..., Any], count: int, small: bool) -> dict[str, Any]:
@@ -100,6 +108,28 @@ def clearance(gradient: bool, small: bool) -> dict[str, Any]:
     return batch(jax.vmap(jax.grad(distance) if gradient else distance), configurations(robot, 100 if small else 10_000))[0]
 
 
+def in_a_cloud(small: bool) -> dict[str, Any]:
+    """A Panda in a shell of points; the error is what a search through all of them, in another order, finds otherwise."""
+    robot, count, radius = robot_of("panda"), 1000 if small else 100_000, 0.005
+    places = np.random.default_rng(1).normal(size=(count, 3))
+    points = places / np.linalg.norm(places, axis=1, keepdims=True) + 0.05 * places
+    scene, spheres = jaxik.make_scene().with_cloud(points, radius), np.column_stack([points, np.full(count, radius)])
+    q = configurations(robot, 16 if small else 1000)
+    row, found = batch(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)), q)
+    every = jax.vmap(lambda q: clearance_to_spheres(robot, spheres.astype(np.float32), q))
+    return row | {"error": off(found, np.asarray(jax.jit(every)(q[:16])))}
+
+
+def forces(function: Callable[..., Any], count: int, small: bool) -> dict[str, Any]:
+    """The error is by how much a round trip through the inverse of the function misses the accelerations, to the largest."""
+    robot = robot_of("crops_v2")
+    q, qdot, qddot = (configurations(robot, 256 if small else count) for _ in range(3))
+    inverse, forward = (jax.vmap(functools.partial(f, robot)) for f in (inverse_dynamics, forward_dynamics))
+    torque = np.asarray(jax.jit(inverse)(q, qdot, qddot))
+    row, _ = batch(jax.vmap(functools.partial(function, robot)), q, qdot, qddot if function is inverse_dynamics else torque)
+    return row | {"error": off(jax.jit(forward)(q, qdot, torque), qddot[:1000]) / float(np.abs(qddot).max())}
+
+
 def harvest_scan(small: bool) -> dict[str, Any]:
     robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
     size = (24, 12) if small else (144, 82)
@@ -135,7 +165,8 @@ def inverse(name: str, counts: tuple[int, ...], small: bool) -> dict[str, Any]:
         asked = {"position_tolerance": problems.POSITION, "rotation_tolerance": problems.ROTATION, "collision": False}
         solve = lambda poses=poses, asked=asked: jaxik.solve_ik(robot, poses, **asked).q
         row, q = driven(solve, len(poses)), np.asarray(solve(), np.float64)
-        found[f"{count:,} poses"] = row | {"success": problems.solved(robot, q, problems.tips(robot, q), poses)}
+        success = problems.solved(robot, q, problems.tips(robot, q), poses)
+        found[f"{count:,} pose{'s' * (count > 1)}"] = row | {"success": success}
     return found
 
 
@@ -171,7 +202,7 @@ def first_call(name: str, small: bool) -> dict[str, Any]:
     return {"first_call_s": cold, "second_process_s": kept}
 
 
-def peer_kinematics(who: str, small: bool) -> dict[str, Any]:
+def peer_kinematics(who: str, count: int, small: bool) -> dict[str, Any]:
     from peers import panda
 
     urdf = panda.urdf_file()
@@ -181,7 +212,7 @@ def peer_kinematics(who: str, small: bool) -> dict[str, Any]:
         "frax": lambda: panda.frax_functions(urdf, robot)[0],
         "MJX": lambda: panda.mjx_poses(urdf, robot),
     }
-    return batch(make[who](), configurations(robot, 256 if small else 65_536))[0]
+    return batch(make[who](), configurations(robot, count // 256 if small else count))[0]
 
 
 def peer_inverse(who: str, small: bool) -> dict[str, Any]:
@@ -200,7 +231,7 @@ def peer_inverse(who: str, small: bool) -> dict[str, Any]:
 def rows() -> dict[str, Row]:
     """All, the cheapest to compile first: what a limit or the budget cuts off is at the end."""
     part = functools.partial
-    found: dict[str, Row] = {"machine": device}
+    found: dict[str, Row] = {"machine": device, "one added to a large array": memory}
     for name, true in (("forward_kinematics", problems.tips), ("jacobian", slopes)):
         for who, function in (("jaxik", getattr(jaxik, name)), (PLAIN, getattr(jaxik, name).__wrapped__)):
             for count in (65_536, 1_048_576):
@@ -211,9 +242,14 @@ def rows() -> dict[str, Row]:
     found |= {f"one configuration, {name}": part(one, name) for name in ("forward_kinematics", "jacobian", "closed_form")}
     found["clearance, p6r in the cucumber row"] = part(clearance, False)
     found["its gradient"] = part(clearance, True)
+    found["clearance, Panda in 100,000 points"] = in_a_cloud
+    for function in (inverse_dynamics, forward_dynamics):
+        found[f"{function.__name__}, crops_v2"] = part(forces, function, 65_536)
     found["harvest scan"] = harvest_scan
     found["sweep, p6r, limits"] = sweep
-    found |= {f"forward kinematics: {who}": part(peer_kinematics, who) for who in ("PyRoki", "frax", "MJX")}
+    for count in (65_536, 1_048_576):
+        for who in ("PyRoki", "frax", "MJX"):
+            found[f"forward_kinematics, Panda, {count:,}: {who}"] = part(peer_kinematics, who, count)
     found["solve_ik, Panda"] = part(inverse, "Panda", (1, 2000, 50_000))
     found["descend_ik, Panda, one seed each"] = descent
     found |= {f"inverse kinematics, Panda: {who}": part(peer_inverse, who) for who in ("PyRoki", "scikit-robot")}
@@ -273,11 +309,11 @@ def watch(names: list[str], small: bool, limit: float, until: float, note: Calla
 def main() -> None:
     """Run the rows that are asked for, and write the JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("gpu_benchmark.json"))
+    parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
     parser.add_argument("--small", action="store_true", help="a try: small batches, few rounds")
     parser.add_argument("--limit", type=float, default=120.0, help="seconds a row, its compilation included")
     parser.add_argument("--budget", type=float, default=540.0, help="seconds for all")
-    parser.add_argument("--only", default="", help="rows whose name contains this")
+    parser.add_argument("--only", default=[""], nargs="+", help="rows whose name contains one of these")
     arguments = parser.parse_args()
     os.environ["XLA_PYTHON_CLIENT_PREALLOCATE"] = "false"  # fresh processes use the same device
     result: dict[str, Any] = {"small": arguments.small}
@@ -287,7 +323,7 @@ def main() -> None:
         print(f"{name}: {json.dumps(found)}", flush=True)
         arguments.out.write_text(json.dumps(result, indent=1) + "\n")
 
-    names = [name for name in rows() if arguments.only in name or name == "machine"]
+    names = [name for name in rows() if name == "machine" or any(each in name for each in arguments.only)]
     watch(names, arguments.small, arguments.limit, time.monotonic() + arguments.budget, note)
 
 

@@ -22,6 +22,7 @@ from tables.depth import depth_markdown, fields_markdown
 from tables.exports import export_markdown
 from tables.five_joints import five_joints_markdown
 from tables.forces import dynamics_markdown, identification_markdown, torque_markdown, touch_markdown
+from tables.gpu import gpu_markdown
 from tables.horizon import horizon_markdown
 from tables.loops import loops_markdown
 from tables.mobile_base import mobile_base_markdown
@@ -86,6 +87,7 @@ TABLES = {
     "five_joints_benchmark.json": five_joints_markdown,
     "furniture_benchmark.json": furniture_markdown,
     "general_arms.json": general_markdown,
+    "gpu_benchmark.json": gpu_markdown,
     "harvest_motions.json": harvest_motions_markdown,
     "horizon_benchmark.json": horizon_markdown,
     "identification.json": identification_markdown,

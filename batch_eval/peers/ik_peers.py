@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 from peers.arm import eaik_robot
 from peers.panda import TIP
+from scipy.spatial.transform import Rotation
 from setups.problems import POSITION, ROTATION
 
 from jaxik import Robot
@@ -55,8 +56,8 @@ def pyroki_solver(urdf: Path, hard_limits: bool) -> Solver:
     batch = jax.jit(jax.vmap(solve))
 
     def run(poses: np.ndarray) -> np.ndarray:
-        coefficients = [pin.Quaternion(pose[:3, :3]).coeffs()[[3, 0, 1, 2]] for pose in poses]
-        return np.asarray(batch(jnp.asarray(np.concatenate([coefficients, poses[:, :3, 3]], axis=1), jnp.float32)))
+        quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+        return np.asarray(batch(jnp.asarray(np.concatenate([quaternions, poses[:, :3, 3]], axis=1), jnp.float32)))
 
     return run
 
