@@ -29,6 +29,11 @@ def poses(robot, count, seed=3):
     return q, np.stack([pose(row) for row in q])
 
 
+def assert_alike(found, wanted):
+    """Postures have the same bits by kernels; XLA rounds the search, and the driver's parts of it, each in its own way."""
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=0.0 if kernels.machine.llvm() else 1e-6)
+
+
 def assert_same(one, row):
     """Two results are equal in each field, to the last bit, and of the same types."""
     for field in dataclasses.fields(one):
@@ -212,7 +217,8 @@ def test_the_search_is_a_pure_function(panda, asked):
         narrow = jax.jit(jax.vmap(find))(jnp.asarray(targets[:20], np.float32))
     wanted = jaxik.solve_ik(panda, targets, collision=False, **asked)
     assert (narrow.reason == Reason.SOLVED).all() and narrow.q.dtype == np.float64
-    assert np.array_equal(found.q[:20], wanted.q[:20]) and np.array_equal(found.seed[:20], wanted.seed[:20])
+    assert_alike(found.q[:20], wanted.q[:20])
+    assert np.array_equal(found.seed[:20], wanted.seed[:20])
     assert list(found.reason[20:]) == [Reason.OUT_OF_REACH, Reason.INVALID] and (found.reason[:20] == Reason.SOLVED).all()
     assert np.isnan(found.q[20:]).all() and (found.seed[20:] == -1).all()
 
@@ -227,7 +233,7 @@ def test_the_search_near_a_posture_and_in_a_scene(panda, world):
     solved = np.asarray(found.reason) == Reason.SOLVED
     assert solved.sum() >= 10 and (np.asarray(clear)[solved] >= -1e-12).all()
     first = wanted.seed < 16
-    assert np.array_equal(np.asarray(found.q)[first & wanted.success], wanted.q[first & wanted.success])
+    assert_alike(np.asarray(found.q)[first & wanted.success], wanted.q[first & wanted.success])
 
 
 @pytest.mark.parametrize("among", ["itself", "obstacles"])
