@@ -65,7 +65,8 @@ class RobotDrawing:
     one is used."""
 
     def __init__(self, server: Any, robot: Robot, meshes: Sequence[Shape], redraw: Callable[[], Any]):
-        gui, scene, self.robot, self.left_out = server.gui, server.scene, robot, left_out(robot)
+        self.server, self.robot, self.left_out = server, robot, left_out(robot)
+        gui, scene = server.gui, server.scene
         self.hit, self.chosen, self.strained = frozenset[str](), frozenset[str](), frozenset[int]()
         self.roots = {name: scene.add_frame(f"/{name}", show_axes=False) for name in ("shape", "volumes")}
         fitted = bool(robot.surfaces) or any(len(s.triangles) for s in meshes)
@@ -97,6 +98,16 @@ class RobotDrawing:
             joint = self.robot.link_joint[link]
             if self.roots[_kind(part)].visible:  # the other ones, when they are shown
                 part.wxyz, part.position = turned[joint], placed[joint, :3, 3]
+
+    def hold(self, robot: Robot, link: int) -> None:
+        """Draws anew what a robot holds in its room, a link of that number; its frame comes with the next `place`."""
+        for of, part in self.parts:
+            if of == link:
+                part.remove()
+        self.robot = robot
+        self.parts = [each for each in self.parts if each[0] != link]
+        self.parts += _parts(self.server.scene, robot, (), {link})
+        self._style()
 
     def colour(self, **which: frozenset[Any]) -> None:
         """Colours the links: those that are `chosen`, by name, those that `hit` something, those whose joints are `strained`,
@@ -131,8 +142,8 @@ def _kind(part: Any) -> str:
     return str(part.name.split("/")[1])
 
 
-def _parts(scene: Any, robot: Robot, meshes: Sequence[Shape]) -> list[tuple[int, Any]]:
-    """The links' numbers and their meshes."""
+def _parts(scene: Any, robot: Robot, meshes: Sequence[Shape], only: set[int] | None = None) -> list[tuple[int, Any]]:
+    """The links' numbers and their meshes, of all links or `only` some."""
     import trimesh
 
     joined = lambda parts, link: trimesh.util.concatenate([mesh for of, mesh in parts if of == link])
@@ -143,7 +154,7 @@ def _parts(scene: Any, robot: Robot, meshes: Sequence[Shape]) -> list[tuple[int,
             ("shape", _own(robot, meshes), ROBOT, {"flat_shading": True}),
             ("volumes", _kept_clear(robot), VOLUME, around),
         )
-        for link in sorted({link for link, _ in parts})
+        for link in sorted({link for link, _ in parts} & (only or {link for link, _ in parts}))
     ]
 
 

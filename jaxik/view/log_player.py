@@ -41,6 +41,8 @@ class LogPlayer(Playback):
         if record.scene is not self.shown:
             self.shown = record.scene
             self.page.surround(record.scene)
+        if record.robot is not self.page.home:
+            self.page.hold(record.robot)
         self.page.move(np.asarray(record.command.at(now).q))
         if number != self.number:
             self.number = number

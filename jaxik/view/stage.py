@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxik.collision.attached import room_of
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.contact_report import Contact, explain
 from jaxik.collision.scene import Scene
@@ -100,6 +101,14 @@ class Stage:
         self.robot = self.home if world_T_base is None else self.home.mounted(world_T_base)
         self._q = np.array(q, float)
         self._draw()
+
+    def hold(self, robot: Robot) -> None:
+        """Takes the same robot with something else in its room (`jaxik.collision.with_room`), or nothing."""
+        self.home = self.robot = robot
+        room = room_of(robot)
+        if room is not None:
+            with self.server.atomic():
+                self.drawing.hold(robot, room)
 
     def surround(self, scene: Scene | None) -> None:
         """Puts another scene around the robot."""

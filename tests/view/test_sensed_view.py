@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import jaxik
 from jaxik import fields
@@ -70,4 +71,27 @@ def test_a_log_is_played(tmp_path):
     np.testing.assert_allclose(page.q, [1.0, 0.3], atol=1e-9)
     page.log.show(0.0)
     assert "late" not in page.around.object_names
+    page.close()
+
+
+def test_what_is_taken_up_and_put_down_is_drawn_when_a_log_is_played(tmp_path):
+    robot = jaxik.collision.with_room(jaxik.load("planar2"), spheres=1)
+    q, limits = np.array([0.0, 0.3]), {"velocity": [2.0, 2.0], "acceleration": [5.0, 5.0]}
+    x, y, z = np.asarray(jaxik.forward_kinematics(robot, q))[:3, 3]
+    scene = jaxik.make_scene(spheres=[[5.0, 0.0, 0.0, 0.1]]).with_("cup", spheres=[[x, y, z + 0.4, 0.1]]).with_room(spheres=4)
+    held = jaxik.collision.attach(robot, scene, "cup", q)
+    replanner = jaxik.Replanner(robot, q, scene=scene, log=tmp_path / "run.jsonl", **limits)
+    for number, told in enumerate([{}, {"scene": held.scene, "robot": held.robot}, {"scene": scene, "robot": robot}]):
+        replanner.update(number / 30.0, **told)
+    log = load_log(tmp_path / "run.jsonl")
+    page = Page(log.robot, scene=log.scene, log=log, port=0)
+    room = robot.link_names.index("held")
+    drawn = lambda: [part for link, part in page.drawing.parts if link == room]
+    for t, count in ((0.0, 0), (1.0 / 30.0, 2), (2.0 / 30.0, 0), (1.0 / 30.0, 2)):
+        page.log.show(t)
+        assert len(drawn()) == count
+    page.log.show(1.0 / 30.0)
+    shape = next(part for part in drawn() if part.name.startswith("/shape"))
+    places = Rotation.from_quat(np.roll(shape.wxyz, -1)).apply(shape.vertices) + shape.position
+    np.testing.assert_allclose(places.mean(axis=0), [x, y, z + 0.4], atol=1e-3)
     page.close()
