@@ -83,6 +83,16 @@ def forgotten():
 
 
 @pytest.fixture
+def assert_same_bits():
+    """A check that arrays have the same bits; by XLA, which rounds each program in its own way, that they differ by at most
+    `by_xla`."""
+    import numpy as np
+
+    exact = has_kernels()
+    return lambda found, wanted, by_xla: np.testing.assert_allclose(found, wanted, rtol=0.0, atol=0.0 if exact else by_xla)
+
+
+@pytest.fixture
 def optimised():
     """XLA's good code, for what runs long by XLA alone."""
     import jax

@@ -29,9 +29,7 @@ def poses(robot, count, seed=3):
     return q, np.stack([pose(row) for row in q])
 
 
-def assert_alike(found, wanted):
-    """Postures have the same bits by kernels; XLA rounds the search, and the driver's parts of it, each in its own way."""
-    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=0.0 if kernels.machine.llvm() else 1e-6)
+SELF_MOTION = 1e-2  # [rad] by which a redundant arm ends elsewhere if a search is rounded otherwise
 
 
 def assert_same(one, row):
@@ -208,7 +206,7 @@ def test_without_a_compiler_the_driver_answers(panda, monkeypatch):
 
 
 @pytest.mark.parametrize("asked", [{}, {"seeds": "library"}], ids=["by the closed form", "from seeds"])
-def test_the_search_is_a_pure_function(panda, asked):
+def test_the_search_is_a_pure_function(panda, asked, assert_same_bits):
     _, targets = poses(panda, 20)
     targets = np.concatenate([targets, [AWAY, np.full((4, 4), np.nan)]])
     with jax.enable_x64(True):
@@ -217,13 +215,13 @@ def test_the_search_is_a_pure_function(panda, asked):
         narrow = jax.jit(jax.vmap(find))(jnp.asarray(targets[:20], np.float32))
     wanted = jaxik.solve_ik(panda, targets, collision=False, **asked)
     assert (narrow.reason == Reason.SOLVED).all() and narrow.q.dtype == np.float64
-    assert_alike(found.q[:20], wanted.q[:20])
+    assert_same_bits(found.q[:20], wanted.q[:20], by_xla=SELF_MOTION)
     assert np.array_equal(found.seed[:20], wanted.seed[:20])
     assert list(found.reason[20:]) == [Reason.OUT_OF_REACH, Reason.INVALID] and (found.reason[:20] == Reason.SOLVED).all()
     assert np.isnan(found.q[20:]).all() and (found.seed[20:] == -1).all()
 
 
-def test_the_search_near_a_posture_and_in_a_scene(panda, world):
+def test_the_search_near_a_posture_and_in_a_scene(panda, world, assert_same_bits):
     q, targets = poses(panda, 20)
     with jax.enable_x64(True):
         find = jaxik.kernel(ik_search(panda, scene=world, seeds="near"))
@@ -233,7 +231,7 @@ def test_the_search_near_a_posture_and_in_a_scene(panda, world):
     solved = np.asarray(found.reason) == Reason.SOLVED
     assert solved.sum() >= 10 and (np.asarray(clear)[solved] >= -1e-12).all()
     first = wanted.seed < 16
-    assert_alike(np.asarray(found.q)[first & wanted.success], wanted.q[first & wanted.success])
+    assert_same_bits(np.asarray(found.q)[first & wanted.success], wanted.q[first & wanted.success], by_xla=SELF_MOTION)
 
 
 @pytest.mark.parametrize("among", ["itself", "obstacles"])
