@@ -18,7 +18,7 @@ from jax import lax
 
 from jaxik.spmd.liveness import Liveness, users_of
 from jaxik.spmd.program import DTYPES, FLOATS, Branch, Load, Loop, Memory, Program, Store, Unsupported, Whole
-from jaxik.spmd.windows import CPU, Value, applied, compute, constant, given, written
+from jaxik.spmd.windows import CPU, RESULTS, Value, applied, compute, constant, given, written
 
 TOGETHER = 3000  # operations of one loop over the batch: LLVM's time grows faster than their number
 BLOCK = 4096  # lanes that go through a program together: what they have stays in the caches
@@ -28,7 +28,7 @@ JOINED = 256  # operations up to which turns are joined, so that what a loop car
 def by_xla(program: Program, operands: Sequence[Any], grid: tuple[int, int], front: tuple[int, ...] = CPU) -> list[Any]:
     """The results (outer, inner, size) of a program by ordinary operations. `operands` are (outer, inner, size), with 1 where
     lanes share them, in a grid of (outer, inner) lanes; `front` is for which backend (`windows`). Raises `Unsupported` for a
-    team of lanes, and for loops and branches where it is not a CPU."""
+    team of lanes, and on a GPU for loops, branches, and many results."""
     if program.team:
         raise Unsupported("a team of lanes, by XLA")
     lanes = grid[0] * grid[1]
@@ -38,8 +38,9 @@ def by_xla(program: Program, operands: Sequence[Any], grid: tuple[int, int], fro
     live = Liveness(program, [not each for each in own], one_row=False)
     users = users_of(program, live)
     turns = any(program.ops[v].code in ("loop", "branch") for v in live.needed)  # all else is one loop, and goes to no memory
-    if turns and front != CPU:
-        raise Unsupported("loops and branches, by XLA on a GPU")
+    results = sum(r.memory.size if isinstance(r, Whole) else len(r) for r in program.outputs)
+    if front != CPU and (turns or results > RESULTS):
+        raise Unsupported("loops, branches, or more results than XLA makes in one loop, on a GPU")
 
     def block(rows: Sequence[Any]) -> list[Any]:
         """The results of some lanes."""

@@ -30,7 +30,7 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
 _TYPED: dict[str, Callable[..., Any]] = {"convert": lax.convert_element_type, "bitcast": lax.bitcast_convert_type}
 _DEAR = ("fdiv", "frem", "sqrt", "libm_sin", "libm_cos", "libm_tan", "libm_pow")  # what XLA does not fuse with several others
 _ONE = {kind: DTYPES[kind].type(1) for kind in FLOATS}
-RESULTS = 96  # of one loop on a CPU: LLVM makes no vectors of one that writes to some 200 arrays
+RESULTS = 96  # of one loop: LLVM makes no vectors of one that writes to some 200 arrays, and a GPU's has at most so many
 CPU, GPU = (2,), ()  # the axes that arrays have in front of the lanes: for a CPU two equal rows, which are reduced to one
 
 
@@ -61,8 +61,7 @@ def applied(code: str, kind: str, args: Sequence[Any]) -> Any:
 def compute(waiting: Sequence[Value], kept: Sequence[Value], shape: tuple[int, ...], front: tuple[int, ...]) -> None:
     """Gives the values that are `kept` their arrays, of a shape: (lanes,), or () where all lanes have them in common; `waiting`
     are all that they may be made of, in order; `front` is `CPU` or `GPU`."""
-    most = RESULTS if front == CPU else max(1, len(kept))
-    for some in (kept[k : k + most] for k in range(0, len(kept), most)):
+    for some in (kept[k : k + RESULTS] for k in range(0, len(kept), RESULTS)):
         _compute(waiting, some, shape, front)
 
 

@@ -73,13 +73,16 @@ def test_robots_on_a_gpu(like_a_gpu, function):
     close(batch(q), np.stack([np.asarray(function.__wrapped__(robot, row)) for row in q]), 1e-11)
 
 
-def test_loops_and_what_is_inside_of_them_go_to_a_gpu_as_they_are_written(like_a_gpu, monkeypatch):
+def test_loops_what_is_inside_of_them_and_many_results_go_to_a_gpu_as_they_are_written(like_a_gpu, monkeypatch):
     """A GPU takes time to begin with each of XLA's loops over a batch; inside of another kernel's that is most of it."""
     monkeypatch.setattr(primitive, "_by_xla", AS_WRITTEN)
     inner = spmd.kernel(lambda x: jnp.sum(jnp.sin(x)))
     found = jax.jit(jax.vmap(spmd.kernel(lambda x: lax.fori_loop(0, 400, lambda _, c: 0.5 * c + inner(x), 1.0))))
     assert "optimization_barrier" not in found.lower(X).as_text()
     close(found(X), 2.0 * np.sin(X).sum(1), 1e-9)
+    many = jax.jit(jax.vmap(spmd.kernel(lambda x: jnp.outer(jnp.sin(x), jnp.arange(60.0)))))
+    assert "optimization_barrier" not in many.lower(X).as_text()
+    close(many(X), np.sin(X)[:, :, None] * np.arange(60.0))
 
 
 def test_two_axes_and_one_configuration():
