@@ -59,10 +59,15 @@ class HostKernel:
             return self.run(*args, double=double)
         except Unsupported:
             pass
+        args = self._with_arrays(args)
+        count = len(jax.tree_util.tree_leaves(args[: self.lanes])[0])
+        room = 1 << max(count - 1, 0).bit_length()  # of few sizes, for each of which XLA compiles; of no rows NumPy makes zeros
+        rows = jax.tree_util.tree_map(lambda x: np.resize(x, (room, *np.shape(x)[1:])), args[: self.lanes])
         wide = jnp.result_type(float) == np.float64 if double is None else double
         with jax.enable_x64(wide), jax.ensure_compile_time_eval():
             # now, also where what calls is being traced: a robot's closed forms are found then
-            return [np.asarray(x) for x in jax.tree_util.tree_leaves(self.by_xla(*in_width(args, double)))]
+            found = self.by_xla(*in_width((*rows, *args[self.lanes :]), double))
+            return [np.asarray(x)[:count] for x in jax.tree_util.tree_leaves(found)]
 
     def run(
         self, *args: Any, double: bool | None = None, threads: ThreadPoolExecutor | None = None, team: int = 1
@@ -137,7 +142,7 @@ class HostKernel:
 
     def _keyed(self, args: Any, double: bool | None) -> tuple[Any, list[np.ndarray], int]:
         """The key of the kernel for such arguments, its operands, and how many rows there are."""
-        args = tuple([np.asarray(x) if type(x) is list else x for x in args[: self.lanes]]) + args[self.lanes :]
+        args = self._with_arrays(args)
         leaves, tree = jax.tree_util.tree_flatten(args)
         rows = len(jax.tree_util.tree_leaves(args[: self.lanes]))
         if double is None:
@@ -148,6 +153,10 @@ class HostKernel:
         count = _rows(operands, rows)
         shapes = [x.shape[1:] for x in operands[:rows]] + [x.shape for x in operands[rows:]]
         return (tree, double, rows, tuple(shapes), "".join([x.dtype.char for x in operands])), operands, count
+
+    def _with_arrays(self, args: tuple[Any, ...]) -> tuple[Any, ...]:
+        """The arguments, of which lists of rows are arrays."""
+        return tuple([np.asarray(x) if type(x) is list else x for x in args[: self.lanes]]) + args[self.lanes :]
 
     def _once(self, key: Any) -> tuple[list[Any], call.Made, list[np.ndarray]]:
         """Makes a kernel, or waits for the thread that does."""

@@ -245,6 +245,11 @@ def test_a_host_kernel_by_xla():
     total, turned = kernel(X, np.float64(2.0))
     close((total, turned), (X.sum(1) + 2.0, X[:, ::-1]))
     assert kernel(X[:0], np.float64(2.0))[1].shape == (0, 4)
+    programs = kernel.by_xla._cache_size()
+    for count in (33, 40, 64):  # of 64 rows, as those of 37 are
+        close(kernel(np.resize(X, (count, 4)), np.float64(2.0))[0], np.resize(X, (count, 4)).sum(1) + 2.0)
+    assert kernel.by_xla._cache_size() == programs
+    close(kernel(X.tolist(), np.float64(2.0))[0], X.sum(1) + 2.0)
     (narrow, _), (wide, _) = (kernel(X, np.float64(2.0), double=double) for double in (False, True))
     assert (narrow.dtype, wide.dtype) == (np.float32, np.float64)
     close(wide, total)
