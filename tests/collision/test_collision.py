@@ -105,7 +105,7 @@ def test_triangles_and_cylinders_against_coal():
     between = jax.jit(lambda a, b: distance.between(corners(a), corners(b)))
     to_box = jax.jit(lambda a, turn, at, size: distance.skeleton_box(corners(a), rows(turn), vec(at), vec(size)))
     kernel = HostKernel(lambda a, turn, at, size: distance.skeleton_cylinder(corners(a), rows(turn), vec(at), *size[:2]), 4)
-    to_cylinder = lambda *body: kernel.run(*(x[None] for x in body))[0][0]  # which XLA would compile for 15 s
+    to_cylinder = lambda *body: kernel(*(x[None] for x in body))[0][0]  # which XLA would compile for 15 s
 
     compared, crossed = np.zeros((2, 6), int)
     reached = np.array([0.01, 0.1, 0.0, 0.0, 0.0, 0.1])  # what coal's round shapes add
@@ -332,12 +332,12 @@ def test_what_is_skipped_changes_no_bit(name, dtype, only_kernels):
         both = lambda space: (space.all(tracked=True), space.each(lambda found: found.distance))
         kernels.append(HostKernel(lambda q, s, kind=kind, both=both: both(kind(robot, s, q)), 1))
     q = rng.uniform(robot.lower, robot.upper, (300, robot.num_joints)).astype(dtype)
-    skipped, flat = (each.run(q, scene) for each in kernels)
+    skipped, flat = (each(q, scene) for each in kernels)
     assert np.array_equal(skipped[0], flat[0]) and np.array_equal(skipped[-1], flat[-1])
     assert np.array_equal(skipped[-1].min(axis=1), flat[0])
     touching = HostKernel(lambda q, s, margin: jaxik.collides(robot, s, q, margin=margin), 1)
     for margin in (0.0, 0.05, float(np.median(flat[0]))):
-        (hits,) = touching.run(q, scene, dtype(margin))
+        (hits,) = touching(q, scene, dtype(margin))
         assert np.array_equal(hits, flat[0] < dtype(margin)) and (margin != 0.0 or 0 < hits.sum() < 300)
 
 
@@ -356,7 +356,7 @@ def test_a_cloud_of_points_against_a_tree():
         centres, radii = jax.vmap(lambda q: jaxik.collision.robot_spheres(robot, q))(q)
         away = [cKDTree(part).query(centres)[0] - radii - 0.01 for part in np.split(points, 2)]
         truth = np.stack([each.min(axis=1) for each in away], axis=1)
-        assert np.allclose(measure.run(q, grouped(scene, alone))[0], truth.min(axis=1), rtol=0.0, atol=1e-12)
+        assert np.allclose(measure(q, grouped(scene, alone))[0], truth.min(axis=1), rtol=0.0, atol=1e-12)
         assert len(measure.known) == 1
     assert np.allclose(jax.vmap(lambda q: jaxik.collision.object_clearances(robot, scene, q))(q), truth, rtol=0.0, atol=1e-12)
 

@@ -66,7 +66,7 @@ def apart(corners, kind, rows, n):
 
 def measured(corners, kind, rows, moved=0.0):
     """The distance of each volume to its solid (COUNT,) and its slopes (COUNT, count, 3) by the volume's corners."""
-    return kernel_of(kind, tuple(rows)).run(corners + moved, *rows.values())
+    return kernel_of(kind, tuple(rows))(corners + moved, *rows.values())
 
 
 @functools.cache

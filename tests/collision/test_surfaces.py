@@ -125,17 +125,17 @@ def test_the_way_out_of_a_triangle():
     for count in (2, 3):
         kernel = HostKernel(apart, 2)
         mine, other = rng.normal(size=(1000, 3 * count)) * 0.3, rng.normal(size=(1000, 9)) * 0.3
-        depth = kernel.run(mine, other)[0]
+        depth = kernel(mine, other)[0]
         crossing = depth < -1e-6
         assert crossing.sum() > 50
         mine, other, depth = mine[crossing], other[crossing], depth[crossing]
         ways = rng.normal(size=(30, len(depth), 3))
         ways *= -0.99 * depth[:, None] / np.linalg.norm(ways, axis=2, keepdims=True)
-        assert max(kernel.run(mine + np.tile(way, count), other)[0].max() for way in ways) < 0.0
+        assert max(kernel(mine + np.tile(way, count), other)[0].max() for way in ways) < 0.0
         if count == 2:
             slope = HostKernel(jax.grad(apart), 2)(mine, other)[0].reshape(-1, count, 3).sum(axis=1)
             out = np.tile(-depth[:, None] * slope, count)
-            assert np.abs(kernel.run(mine + out, other)[0]).max() <= 1e-9
+            assert np.abs(kernel(mine + out, other)[0]).max() <= 1e-9
 
 
 def test_no_motion_passes_through_a_surface(arm):
@@ -281,8 +281,8 @@ def test_what_crosses_a_triangle_is_as_deep_as_its_shortest_way_out():
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     for count in (2, 3):
         mine, theirs = 0.4 * rng.normal(size=(150, 3, 3)), 0.4 * rng.normal(size=(150, count, 3))
-        ours, slopes = kernel.run(mine, theirs)
-        swapped = kernel.run(theirs, mine)[0]
+        ours, slopes = kernel(mine, theirs)
+        swapped = kernel(theirs, mine)[0]
         np.testing.assert_allclose(ours, swapped, atol=1e-12)
         deep = ours < -2.0 * radius - 1e-3
         assert deep.sum() >= 8
