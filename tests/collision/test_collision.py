@@ -321,6 +321,7 @@ class Flat(Space):
         return inside(found)
 
 
+@pytest.mark.kernels(reason="judges their bits")
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("name", ["p6r", "crops_v2"])
 def test_what_is_skipped_changes_no_bit(name, dtype, only_kernels):
