@@ -358,7 +358,7 @@ def test_a_cloud_of_points_against_a_tree():
         away = [cKDTree(part).query(centres)[0] - radii - 0.01 for part in np.split(points, 2)]
         truth = np.stack([each.min(axis=1) for each in away], axis=1)
         assert np.allclose(measure(q, grouped(scene, alone))[0], truth.min(axis=1), rtol=0.0, atol=1e-12)
-        assert len(measure.known) == 1
+        assert (len(measure.known) or measure.by_xla._cache_size()) == 1
     assert np.allclose(jax.vmap(lambda q: jaxik.collision.object_clearances(robot, scene, q))(q), truth, rtol=0.0, atol=1e-12)
 
 
