@@ -25,7 +25,7 @@ class LogPlayer(Playback):
         self.log, self.times = log, np.array([record.time for record in log.records])
         if not len(self.times):
             raise ValueError("jaxik view: the log has no update; let the replanner run")
-        self.number, self.shown = -1, log.scene
+        self.number, self.shown, self.held = -1, log.scene, log.robot
         self.news = [k for k, record in enumerate(log.records) if record.command.event is not Event.KEPT or record.changed]
         counts = {event: sum(r.command.event is event for r in log.records) for event in Event}
         told = ", ".join(f"{count} {event}" for event, count in counts.items() if count)
@@ -41,7 +41,8 @@ class LogPlayer(Playback):
         if record.scene is not self.shown:
             self.shown = record.scene
             self.page.surround(record.scene)
-        if record.robot is not self.page.home:
+        if record.robot is not self.held:
+            self.held = record.robot
             self.page.hold(record.robot)
         self.page.move(np.asarray(record.command.at(now).q))
         if number != self.number:

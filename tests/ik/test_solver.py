@@ -20,6 +20,7 @@ from jaxik.spmd import call as kernels
 
 AWAY = np.array([[1.0, 0.0, 0.0, 2.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 BALLS = [[0.4, 0.2, 0.5, 0.1], [-0.3, 0.3, 0.4, 0.15], [0.5, -0.4, 0.2, 0.1]]
+SELF_MOTION = 1e-2  # [rad] by which a redundant arm ends elsewhere if a search is rounded otherwise
 
 
 def poses(robot, count, seed=3):
@@ -27,9 +28,6 @@ def poses(robot, count, seed=3):
     q = np.random.default_rng(seed).uniform(*robot.finite_limits, (count, robot.num_joints))
     pose = pinocchio(robot)
     return q, np.stack([pose(row) for row in q])
-
-
-SELF_MOTION = 1e-2  # [rad] by which a redundant arm ends elsewhere if a search is rounded otherwise
 
 
 def assert_same(one, row):
