@@ -310,6 +310,41 @@ def predictive() -> None:
     _save(figure, "predictive")
 
 
+def replanned() -> None:
+    """A robot over a table in whose way two things appear: where its hand was going and went, and how fast the joints are."""
+    cell = jaxik.make_scene(boxes=[[0.6, 0.0, -0.06, 0.8, 1.6, 0.1]]).with_room(boxes=8)
+    start, goal = np.array([[side * 0.9, 0.4, 0.0, -1.9, 0.0, 2.2, 0.8] for side in (-1.0, 1.0)])
+    robot = jaxik.load("panda")
+    arm = jaxik.Replanner(robot, start, scene=cell, margin=0.01, acceleration=8.0, jerk=200.0)
+    arm.go(goal)
+    things = {4: ("box", [0.5, 0.0, 0.35, 0.1, 0.1, 0.7]), 33: ("post", [0.56, 0.33, 0.3, 0.06, 0.06, 0.6])}
+    hand = jax.vmap(lambda q: jaxik.forward_kinematics(robot, q)[:2, 3])
+    figure, (above, beside) = plt.subplots(1, 2, figsize=(9, 4.4), width_ratios=(1, 1.4))
+    colours, updates = iter((GREY, ORANGE, GREEN)), 1.0 / 30.0 * np.arange(120)
+    done: list[Any] = []
+    for k, time in enumerate(updates):
+        if k in things:
+            name, box = things[k]
+            cell = cell.with_(name, boxes=[box])
+            above.add_patch(
+                plt.Rectangle(np.subtract(box[:2], np.divide(box[3:5], 2.0)), *box[3:5], color=RED, alpha=0.3, lw=0)
+            )
+            above.text(box[0] - 0.08, box[1], f"{name}, from\n{time:.1f} s on", fontsize=8, ha="right", va="center")
+            beside.axvline(time, color=RED, lw=1)
+        command = arm.update(time, cell)
+        if command.event == "replanned":
+            colour = next(colours)
+            to_come = command.at(time + np.linspace(0.0, 4.0, 400))
+            above.plot(*np.asarray(hand(to_come.q)).T, "--", lw=1.5, color=colour, label=f"planned at {time:.1f} s")
+        done.append(command.at(time))
+    above.plot(*np.asarray(hand(np.stack([each.q for each in done]))).T, color=BLUE, lw=2, zorder=0, label="done")
+    beside.plot(updates, np.abs([each.velocity for each in done]).max(axis=1), color=BLUE, lw=2)
+    above.set(title="the hand from above", xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=(0.1, 1.1))
+    above.legend(fontsize=8, frameon=False, loc="center right")
+    beside.set(title="it brakes, and goes on another way", xlabel="time [s]", ylabel="fastest joint [rad/s]")
+    _save(figure, "replanned")
+
+
 def external_torque() -> None:
     """The estimate of a push on an arm whose friction is known to a tenth, and the band within which no motor current tells."""
     from jaxik import estimation
@@ -355,6 +390,7 @@ ALL = (
     collision,
     between,
     predictive,
+    replanned,
     external_torque,
 )
 
