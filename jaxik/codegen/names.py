@@ -50,3 +50,9 @@ def check_name(name: str) -> None:
     check_word(name)
     if name in _TAKEN:
         raise ValueError(f"export: {name!r} is taken by C's library; choose another by name=, such as robot_{name}")
+
+
+def free_name(words: str) -> str:
+    """A name for a function or a library that is like some words: a robot may be called `2dof planar` or `double`."""
+    name = re.sub(r"[^a-z0-9]+", "_", words.lower()).strip("_")
+    return name if re.match("[a-z]", name) and name not in _RESERVED | _TAKEN else f"robot_{name}".rstrip("_")

@@ -9,7 +9,7 @@ from jaxik.codegen.c_files import cmake_lists, example, test
 from jaxik.codegen.functions import Function
 from jaxik.codegen.header import LICENCE
 from jaxik.codegen.library import Exported, folder_at, write_library
-from jaxik.codegen.names import check_name
+from jaxik.codegen.names import check_name, free_name
 from jaxik.codegen.robot_functions import robot_function
 from jaxik.codegen.robot_header import robot_header
 from jaxik.codegen.targets import WORDS, target
@@ -36,8 +36,8 @@ def export_robot(
 
     The folder `path` holds what `export` writes, of all functions together, and `README.md`, `CMakeLists.txt`, `main.c`, an
     example, and `test.c`, which holds the functions against numbers that jaxik computes now. `name` is that of the library and
-    begins all names in it; the robot's own unless it is told. `scene` is folded into `clearance` and IK. Floats are `double` or
-    not. `NAME_robot.h` tells of joints and limits.
+    begins all names in it; one like the robot's own unless it is told. `scene` is folded into `clearance` and IK. Floats are
+    `double` or not. `NAME_robot.h` tells of joints and limits.
 
     Raises `ValueError` for other functions and targets, and for a robot that lacks what a function needs.
     """
@@ -47,7 +47,7 @@ def export_robot(
             raise ValueError(
                 f"export: cloud '{cloud.name}' of {cloud.count:,} points; at most {FOLDED:,} are folded in; {mend}"
             )
-    name = name or "".join(c if c.isalnum() else "_" for c in robot.name.lower())
+    name = name or free_name(robot.name)
     check_name(name)
     target(target_name)
     folder = folder_at(name, path)

@@ -1,5 +1,7 @@
 """Refusals of what cannot be exported: one line, with the operation, its place and the mend."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -120,6 +122,16 @@ def test_a_robot_lacks_what_a_function_needs(tmp_path):
         export_robot(jaxik.load("panda"), ["inverse_dynamics"], tmp_path)
     with pytest.raises(ValueError, match="a function 'poses' is not known; choose of pose, jacobian"):
         export_robot(jaxik.load("panda"), ["poses"], tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "library"),
+    [("2dof planar", "robot_2dof_planar"), ("double", "robot_double"), ("臂", "robot")],
+)
+def test_a_robot_whose_name_c_has_not_free(name, library, tmp_path):
+    robot = dataclasses.replace(jaxik.load("planar2"), name=name)
+    assert export_robot(robot, ["pose"], tmp_path).name == library
+    assert (tmp_path / f"lib{library}.a").exists()
 
 
 def test_a_path_that_is_a_file(tmp_path):
