@@ -16,7 +16,7 @@ from jaxik.collision.clearances import check_geometry, clearance
 from jaxik.collision.scene import Scene
 from jaxik.collision.sphere_clouds import clearance_to_spheres
 from jaxik.dynamics import bias_torque, forward_dynamics, gravity_torque, inverse_dynamics, mass_matrix
-from jaxik.ik.whole_search import ik_search
+from jaxik.ik.whole_search import check_searchable, ik_search
 from jaxik.kinematics import Robot, forward_kinematics, jacobian, manipulability
 from jaxik.kinematics.robot import need_bodies
 from jaxik.spmd import kernel
@@ -103,7 +103,11 @@ _ANSWER = {
     "seed": "the number of the seed that led to it, -1 where none did",
 }
 _bodies = lambda robot: need_bodies("export", robot)
-_one_tip = lambda robot: robot.only_tip("export")
+
+
+def _searchable(robot: Robot) -> None:
+    robot.only_tip("export")
+    check_searchable("export", robot)
 
 
 def _pose_and_jacobian(robot: Robot) -> Made:
@@ -174,10 +178,10 @@ FUNCTIONS: dict[str, RobotFunction] = {
         _bodies,
     ),
     "ik": RobotFunction(
-        _ik, ("pose",), _ANSWER, "a posture for a pose, clear of the scene, which is folded in", _one_tip, double=True
+        _ik, ("pose",), _ANSWER, "a posture for a pose, clear of the scene, which is folded in", _searchable, double=True
     ),
     "ik_near": RobotFunction(
-        _ik_near, ("pose", "posture"), _ANSWER, "the same, by looking around a posture", _one_tip, double=True
+        _ik_near, ("pose", "posture"), _ANSWER, "the same, by looking around a posture", _searchable, double=True
     ),
 }
 """The functions of a robot that are exported by name, each as a `RobotFunction`."""

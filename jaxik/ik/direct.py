@@ -23,7 +23,6 @@ from jaxik.ik.problem import RIGID_POSE, Problem
 from jaxik.ik.result import IKResult
 from jaxik.ik.seed_search import Setup, Shared, Target, first_from_seeds
 from jaxik.ik.sqp_programs import batch, clearance_around
-from jaxik.kinematics.joint_turns import endless
 from jaxik.pytree import copied, replaced
 from jaxik.reasons import Reason
 from jaxik.spmd import HostKernel, Unsupported
@@ -43,7 +42,7 @@ def is_direct(problem: Problem) -> bool:
     if any(task.within for task in problem.tasks.each) or len(seeds.sliding_base(problem.robot)[0]):
         return False
     if problem.strategy == "near":
-        return not endless(problem.robot).any()
+        return True
     return problem.reference is None and (problem.strategy != "closed_form" or has_branches(problem))
 
 

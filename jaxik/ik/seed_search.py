@@ -20,7 +20,7 @@ from jax import lax
 from jaxik.ik import refinement, seeds
 from jaxik.ik.branch_search import NOBODY
 from jaxik.ik.sqp_programs import SEARCH, clearance_around, settle
-from jaxik.kinematics.joint_turns import nearest_turns
+from jaxik.kinematics.joint_turns import endless, nearest_turns, whole_turns
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.tasks import Tasks
 from jaxik.optimise.sqp import Race
@@ -185,7 +185,8 @@ class _Search:
         start = self.shared.table[first + self.me]
         if self.setup.near:
             low, high = (jnp.array(bound) for bound in self.setup.inside)
-            start = jnp.clip(self.target.home + start, low, high)
+            home = self.target.home - whole_turns(endless(self.setup.robot), self.target.home)
+            start = jnp.clip(home + start, low, high)
         start = start.astype(jnp.float32)
         if self.library is None:
             return start

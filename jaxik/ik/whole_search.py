@@ -43,6 +43,13 @@ class SearchedIK(NamedTuple):
     seed: Int[Array, ""]
 
 
+def check_searchable(who: str, robot: Robot) -> None:
+    """Raises `ValueError` for a robot whose base slides to any place: where its seeds are depends on where the target is."""
+    if len(seeds.sliding_base(robot)[0]):
+        mend = "load it on a base that stands, or limit how far it slides"
+        raise ValueError(f"{who}: {robot.name} slides without limits; {mend}")
+
+
 def ik_search(
     robot: Robot, *, scene: Scene | None = None, seed: int = 0, options: IKOptions | None = None, **changes: Any
 ) -> Callable[..., SearchedIK]:
@@ -69,6 +76,7 @@ def ik_search(
         raise ValueError("ik_search: a list of tasks, or a task that has its target; give one task without a target")
     around, _ = surroundings(robot, scene, options)
     problem = Problem.of(named, around, seed, options, Poses.of(np.eye(4), tasks), tasks.asked)
+    check_searchable("ik_search", robot)
     if not is_direct(problem):
         mend = "leave out cost, solutions, choice, nearest and regions, and give max_seeds a multiple of 16, 128 or more"
         raise ValueError(f"ik_search: options that ask for more than the first answer; {mend}")

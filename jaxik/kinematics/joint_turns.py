@@ -95,11 +95,13 @@ def wound(robot: Robot, winding: float | None) -> tuple[np.ndarray, np.ndarray]:
     return np.maximum(robot.lower, -bound), np.minimum(robot.upper, bound)
 
 
-def whole_turns(endless: np.ndarray, q: np.ndarray) -> Any:
-    """Returns the whole turns (..., n) [rad] of the `endless` joints (n,) of q (..., n); 0 for the others. Host."""
+def whole_turns(endless: np.ndarray, q: Any) -> Any:
+    """Returns the whole turns (..., n) [rad] of the `endless` joints (n,) of q (..., n); 0 for the others. Traced, or in
+    NumPy."""
     if not endless.any():  # planning asks often, and of a few at a time
         return 0.0
-    return TURN * np.round(np.where(endless & np.isfinite(q), q, 0.0) / TURN)
+    xp: Any = np if isinstance(q, np.ndarray) else jnp
+    return TURN * xp.round(xp.where(endless & xp.isfinite(q), q, 0.0) / TURN)
 
 
 def _turns(q: Any, lower: Any, upper: Any) -> tuple[Any, Any]:

@@ -120,6 +120,23 @@ def test_a_posture_is_where_the_search_begins(panda):
     assert np.mean(near) > 0.8
 
 
+def test_a_posture_may_be_many_turns_away(assert_same_bits):
+    """An endless joint stays on its turn, by a solver and by a search that is exported."""
+    robot = jaxik.load("gen3")
+    q, targets = poses(robot, 30)
+    turns = 2.0 * np.pi * np.random.default_rng(5).integers(-50, 50, q.shape) * np.isinf(robot.upper)
+    begin = np.clip(q + 0.05, robot.lower, robot.upper) + turns
+    solver = jaxik.Solver(robot, collision=False)
+    wanted = jaxik.solve_ik(robot, targets, collision=False, seeds="near", choice="first", reference=begin)
+    with jax.enable_x64(True):
+        find = jaxik.kernel(ik_search(robot, collision=False, seeds="near"))
+        searched = jax.jit(jax.vmap(find))(jnp.asarray(targets), jnp.asarray(begin))
+    for row, one in enumerate(wanted):
+        assert_same(solver(targets[row], begin[row]), one)
+    assert wanted.success.all() and np.mean(np.abs(wanted.q - begin).max(axis=1) < 0.5) > 0.8
+    assert_same_bits(np.asarray(searched.q)[wanted.seed < 16], wanted.q[wanted.seed < 16], by_xla=SELF_MOTION)
+
+
 @pytest.mark.kernels(reason="the direct way is of kernels; without them a solver is the driver")
 def test_the_world_changes_without_compiling(panda, world):
     _, targets = poses(panda, 10)
@@ -269,3 +286,5 @@ def test_the_search_says_what_it_does_not_take(panda):
         ik_search(panda, collision=False, solutions=4)
     with pytest.raises(ValueError, match="list of tasks"):
         ik_search(panda, collision=False, task=[jaxik.Task.pose(tip="panda_link7")])
+    with pytest.raises(ValueError, match="gen3 slides without limits; load it on a base that stands, or"):
+        ik_search(jaxik.load("gen3", base="planar"), collision=False)
