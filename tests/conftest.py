@@ -93,6 +93,12 @@ def assert_same_bits():
 
 
 @pytest.fixture
+def seconds():
+    """How long something may take that is worth so many seconds with kernels: by XLA ten times as long."""
+    return lambda count: count if has_kernels() else 10.0 * count
+
+
+@pytest.fixture
 def optimised():
     """XLA's good code, for what runs long by XLA alone."""
     import jax

@@ -59,11 +59,11 @@ def test_a_straight_way_stays(arm):
 
 
 @pytest.mark.parametrize("jerk", [None, 40.0])
-def test_a_motion_is_sooner_and_still_free(arm, jerk):
+def test_a_motion_is_sooner_and_still_free(arm, jerk, seconds):
     robot, coal = arm
     limits = {"scene": POLES, "seed": 1, "velocity": 1.0, "acceleration": 4.0, "jerk": jerk}
     before = plan_motion(robot, STARTS, GOALS, **limits)
-    after = plan_motion(robot, STARTS, GOALS, improve=1.0, improves="time", **limits)
+    after = plan_motion(robot, STARTS, GOALS, improve=seconds(1.0), improves="time", **limits)
     assert after.success.all()
     lasts = np.array([[float(moved.trajectory.duration) for moved in each] for each in (before, after)])
     assert (lasts[1] <= lasts[0]).all() and lasts[1].sum() < 0.97 * lasts[0].sum()
