@@ -8,6 +8,7 @@ is traced, in the order that it has.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -30,7 +31,7 @@ from jaxik.collision.scene import Scene, check_scene, remembered, with_zeros
 from jaxik.collision.volumes import local_volumes
 from jaxik.kinematics.link_distance_table import PairTable
 from jaxik.kinematics.robot import Robot, geometry_between, solid_links
-from jaxik.pytree import static
+from jaxik.pytree import read_only, static
 
 # obstacles a leaf, where there are a few
 LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1, "triangles": 1, "fields": 1}
@@ -214,34 +215,33 @@ def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool
     return _solids(scene, ignored, by_object, {}).found + _clouds(scene, ignored, by_object, {})
 
 
-def _masks(scene: Scene, ignored: tuple[tuple[int, str], ...]) -> np.ndarray:
+@functools.lru_cache(maxsize=64)
+def _masks(names: tuple[str, ...], ignored: tuple[tuple[int, str], ...]) -> np.ndarray:
     """The bits of the links that ignore each object, and at last of those that ignore what belongs to none."""
     bit = bits(ignored)
-    named = (*scene.object_names, "")
-    return np.array([sum({bit[link] for link, what in ignored if what in ("*", name)}) for name in named], np.int32)
+    each = [sum({bit[link] for link, what in ignored if what in ("*", name)}) for name in (*names, "")]
+    return read_only(np.array(each, np.int32))
 
 
 def _solids(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool, least: dict[str, Form]) -> Groups:
     """All but the clouds; each kind with `least` its form, if it is told, even where none are there."""
-    masks, found = _masks(scene, ignored), []
+    masks, found = _masks(scene.object_names, ignored), []
     for kind, obstacles, owner in scene.by_kind():
-        rows = {name: getattr(obstacles, name) for name in SHAPES[kind]}
-        if is_known(rows):
-            rows = jax.tree_util.tree_map(np.asarray, rows)
         if len(owner) or kind in least:
-            form = least.get(kind, Form(1, 0, False))
-            asked = kind, rows, owner, masks, by_object, ignored, form
-            found.append(_once(obstacles, asked) if is_known(rows) else _obstacles(*asked))
+            found.append(_once(kind, obstacles, owner, masks, by_object, ignored, least.get(kind, Form(1, 0, False))))
     return Groups(*zip(*found, strict=True)) if found else Groups((), (), ())
 
 
-def _once(solid: Any, asked: tuple[Any, ...]) -> tuple[Obstacles, Any, np.ndarray]:
-    """`_obstacles` of a known kind of a scene, which keeps the last ones: scenes share the kinds in which nothing changed."""
-    _, _, owner, masks, by_object, ignored, form = asked
-    key = owner.tobytes(), masks.tobytes(), by_object, ignored, form
+def _once(kind: str, solid: Any, owner: np.ndarray, masks: np.ndarray, *asked: Any) -> tuple[Obstacles, Any, np.ndarray]:
+    """`_obstacles` of a kind of a scene. A known one keeps the last ones: scenes share the kinds in which nothing changed."""
+    rows = {name: getattr(solid, name) for name in SHAPES[kind]}
+    if not solid.concrete:
+        return _obstacles(kind, rows, owner, masks, *asked)
+    key = owner.tobytes(), masks.tobytes(), *asked
     before = getattr(solid, "_groups", None)
     if before is None or before[0] != key:
-        object.__setattr__(solid, "_groups", before := (key, _obstacles(*asked)))
+        rows = {name: np.asarray(x) for name, x in rows.items()}
+        object.__setattr__(solid, "_groups", before := (key, _obstacles(kind, rows, owner, masks, *asked)))
     return before[1]
 
 
@@ -249,7 +249,7 @@ def _clouds(
     scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool, least: dict[str, Form]
 ) -> tuple[Obstacles, ...]:
     """The clouds, in their order, each ready for the search as it is."""
-    masks, found = _masks(scene, ignored), []
+    masks, found = _masks(scene.object_names, ignored), []
     wanted = [least.get(kind, Form(1, 0, False)).room * CLOUD_LEAF for kind in _clouds_among(least)]
     for number, (cloud, room) in enumerate(itertools.zip_longest(scene.clouds, wanted)):
         cloud = nothing(room) if cloud is None else cloud.roomy(max(cloud.room, room or 0))
@@ -289,7 +289,7 @@ def _obstacles(
     center, radius = extent(rows if known else lax.stop_gradient(rows), xp)
     there = np.arange(len(radius)) if not known else np.flatnonzero(~(np.abs(center).max(axis=1) > FAR / 2.0))
     key = owner[there] if by_object else masks[owner[there]]
-    keys = np.arange(len(masks) - 1) if by_object else np.unique(key)
+    keys = np.arange(len(masks) - 1) if by_object else np.unique(key) if key.any() else key[:1]  # most robots ignore nothing
     groups = [there[key == each] for each in keys] if len(keys) != 1 or by_object else [there]
     order, ends = _in_leaves(groups, size, center if known else None)
     owner = owner[order]
@@ -364,9 +364,9 @@ def _in_leaves(groups: list[np.ndarray], size: int, center: np.ndarray | None) -
     given; and with which leaf each group begins, and at last their number."""
     if center is not None:
         groups = [g[by_place(center[g], size)] for g in groups]
-    ends = np.cumsum([0, *(-(-len(g) // size) for g in groups)], dtype=int)
-    filled = [g[np.minimum(np.arange(count * size), len(g) - 1)] for g, count in zip(groups, np.diff(ends), strict=True)]
-    return np.concatenate([np.zeros(0, int), *filled]), ends
+    counts = [-(-len(g) // size) for g in groups]
+    filled = [g[np.minimum(np.arange(count * size), len(g) - 1)] for g, count in zip(groups, counts, strict=True)]
+    return np.concatenate([np.zeros(0, int), *filled]), np.array([0, *itertools.accumulate(counts)])
 
 
 def extent(rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
@@ -376,7 +376,8 @@ def extent(rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
         half = rows["half"]
         square = xp.sum(half**2, axis=1) if half.ndim > 1 else half**2
         return place[:, :3, 3], xp.sqrt(rows.get("radius", 0.0) ** 2 + square)
-    radius = xp.broadcast_to(rows.get("radius", 0.0), place.shape[:1])
+    radius = rows.get("radius", 0.0)
+    radius = radius if np.ndim(radius) else xp.broadcast_to(radius, place.shape[:1])
     return balls_of(xp.stack([place, *more], axis=1), radius, xp) if more else (place, radius)  # most are points
 
 

@@ -30,7 +30,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Bool, Float, Int
 
-from jaxik.checks.arrays import Array, as_numbers, is_known, stop_gradients
+from jaxik.checks.arrays import Array, as_numbers, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.ball_trees import balls_of
 from jaxik.collision.bvh import decided_within, grouped, obstacles_in, own_in, pair_tables
@@ -482,12 +482,13 @@ def _size(robot: Robot, length: Any, start: Any, goal: Any) -> Any:
 
 def size_of(scene: Scene | None) -> Any:
     """How large the numbers of a scene are [m], but for what is moved away."""
-    named = [] if scene is None else [(kind, name) for kind in KINDS for name in SHAPES[kind] if name != NODES]
-    leaves = [getattr(getattr(scene, kind), name) for kind, name in named]
-    xp = np if is_known(scene) else jnp
-    if not leaves:
+    if scene is None:
         return 0.0
+    xp = np if scene.concrete else jnp
     # points further away than a scene is large are too far to be near the robot, whatever rounding does to them
-    clouds = [xp.minimum(cloud.extent, LIMIT) + cloud.radius for cloud in scene.clouds] if scene is not None else []
+    clouds = [xp.minimum(cloud.extent, LIMIT) + cloud.radius for cloud in scene.clouds]
+    if scene.concrete:
+        return max(*(getattr(scene, kind).size for kind in KINDS), *map(float, clouds))
+    leaves = [getattr(getattr(scene, kind), name) for kind in KINDS for name in SHAPES[kind] if name != NODES]
     sizes = xp.abs(xp.concatenate([xp.asarray(x, float).ravel() for x in (*leaves, *clouds)]))
     return xp.max(xp.where(sizes < FAR / 2.0, sizes, 0.0), initial=0.0)

@@ -43,13 +43,16 @@ def places_after(place: Any, pose: Any) -> Any:
 class Kind(Constant):
     """Obstacles of one kind: where they are, as points (k, 3) or frames (k, 4, 4), and their sizes, `radius` and `half` [m]."""
 
-    __slots__ = ("_groups",)  # `bvh` keeps there how they were grouped last; copies and pickles do not take it over
+    # `bvh` keeps there how they were grouped last; copies and pickles do not take them over
+    __slots__ = ("_groups", "_size")
     _of_places: ClassVar[tuple[str, ...]] = ()  # which of the fields say where they are
+    _measured: ClassVar[tuple[str, ...]] = ()  # and which are lengths
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         names = [field.name for field in dataclasses.fields(cls)]
         cls._of_places = tuple(name for name in names if name not in (*SIZES_OF, NODES))
+        cls._measured = tuple(name for name in names if name != NODES)
 
     @property
     def places(self) -> dict[str, Any]:
@@ -67,6 +70,17 @@ class Kind(Constant):
         if not is_known(place):
             return np.ones(len(place), bool)
         return np.asarray(np.abs(np.asarray(place)).max(axis=tuple(range(1, place.ndim)), initial=0.0) < FAR / 2.0)
+
+    @property
+    def size(self) -> float:
+        """How large the numbers of known ones are [m], but for what is moved away."""
+        found: float | None = getattr(self, "_size", None)
+        if found is None:
+            self.freeze()  # `jax.tree_util.tree_map` puts arrays in without a constructor
+            numbers = [np.abs(np.asarray(x, float)) for name, x in vars(self).items() if name in self._measured]
+            found = float(max(np.max(x, where=x < FAR / 2.0, initial=0.0) for x in numbers))
+            object.__setattr__(self, "_size", found)
+        return found
 
     def put(self, to: Callable[[Any], Any]) -> Kind:
         """The same ones, each of their places turned into another."""

@@ -36,7 +36,7 @@ from jaxik.collision.obstacle_kinds import (
     places_after,
 )
 from jaxik.collision.obstacle_rows import check_count, kinds_of, line_of_text, rows_of_object, with_bodies
-from jaxik.pytree import Constant, replaced, static
+from jaxik.pytree import Constant, read_only, replaced, static
 
 SIZES = (0, 8, 32, *(k * 2**n for n in range(5, 14) for k in (2, 3)))
 
@@ -90,7 +90,7 @@ class Scene(Constant):
         """Yields the name of each kind, the obstacles, and the object (k,) that each of them belongs to, -1 for none."""
         for kind, owners in zip(KINDS, self.owners, strict=True):
             obstacles = getattr(self, kind)
-            yield kind, obstacles, np.array([*owners, *[-1] * (obstacles.count - len(owners))], int)
+            yield kind, obstacles, _owner_of_rows(owners, obstacles.count)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -426,6 +426,12 @@ def _inherit(scene: Scene, changed: Scene, changes: tuple[Change, ...]) -> None:
         heritage |= {what: value for what, value in later.items() if value is not None}
     checked = {"checked": None} if "checked" in memory else {}
     object.__setattr__(changed, "_known", {Before: Before(heritage, changes), **checked})
+
+
+@functools.lru_cache(maxsize=64)
+def _owner_of_rows(owners: tuple[int, ...], count: int) -> np.ndarray:
+    """The object that each of so many obstacles belongs to, -1 for none."""
+    return read_only(np.array([*owners, *[-1] * (count - len(owners))], int))  # type: ignore[no-any-return]
 
 
 def _frames_of(what: str, given: Any, count: int) -> list[Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from jaxik.planning.limits import limit_of, motion_limits
 from jaxik.planning.plan_result import PlanResult
 from jaxik.planning.planner import plan_motion
 from jaxik.planning.world import World
-from jaxik.pytree import read_only, replaced
+from jaxik.pytree import copied, read_only, replaced
 from jaxik.reasons import Reason
 from jaxik.replanning.command import Command, Event, Refusal, place_of
 from jaxik.replanning.course import Course
@@ -185,7 +184,7 @@ class Replanner:
                 f"{who}: scene '{scene.name if scene else ''}' takes other programs than those that are compiled; "
                 "make the Replanner with a scene that has room for all that will come (Scene.with_room)"
             )
-        space = copy.copy(self._space) if same else CollisionChecker(robot, own, self.options.margin)
+        space = copied(self._space) if same else CollisionChecker(robot, own, self.options.margin)
         space.world = world
         self.robot, self._space, self._scene = robot, space, own
         return not same or not all(map(np.array_equal, world.around.rows, before.around.rows))
@@ -256,7 +255,7 @@ class Replanner:
 
 def _own(scene: Scene) -> Scene:
     """The same world, without the trees that were made for others."""
-    own: Scene = replaced(scene)
+    own: Scene = copied(scene)
     remembered(own, "checked", lambda: remembered(scene, "checked", lambda: check_scene(scene)))
     return own
 

@@ -22,16 +22,18 @@ class Packed:
 def packed(tree: Any, floats: Any = None) -> Packed:
     """The arrays of a pytree, packed; all floats as such `floats`, if they are told. Host."""
     leaves, structure = jax.tree_util.tree_flatten(tree)
-    arrays = list(map(np.asarray, leaves))
-    kinds = [np.dtype(floats) if floats is not None and x.dtype.kind == "f" else x.dtype for x in arrays]
-    types = list(dict.fromkeys(kinds))
-    ends, layout = [0] * len(types), []
-    for x, kind in zip(arrays, kinds, strict=True):
-        row = types.index(kind)
+    rows: dict[Any, list[np.ndarray]] = {}
+    ends, layout = [], []
+    for x in map(np.asarray, leaves):
+        kind = np.dtype(floats) if floats is not None and x.dtype.kind == "f" else x.dtype
+        if kind not in rows:
+            rows[kind] = []
+            ends.append(0)
+        row = [*rows].index(kind)
+        rows[kind].append(x.ravel())
         layout.append((row, ends[row], x.shape))
         ends[row] += x.size
-    rows = [[x.ravel() for x, kind in zip(arrays, kinds, strict=True) if kind == each] for each in types]
-    joined = tuple(np.concatenate(row, dtype=each, casting="same_kind") for row, each in zip(rows, types, strict=True))
+    joined = tuple(np.concatenate(row, dtype=kind, casting="same_kind") for kind, row in rows.items())
     return Packed(joined, tuple(layout), structure)
 
 
