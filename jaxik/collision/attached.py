@@ -123,7 +123,7 @@ def with_room(
     asked = {"spheres": spheres, "capsules": capsules, "triangles": triangles}
     counts = [as_count(f"with_room: {kind}", count, least=0) for kind, count in asked.items()]
     if not 0 < sum(counts) <= MOST:
-        raise ValueError(f"with_room: room for {sum(counts):,} volumes; allowed: 1 to {MOST:,}")
+        raise ValueError(f"with_room: room for {sum(counts):,} volumes; allowed: 1 to {MOST:,}, such as spheres=8")
     last, link = robot.only_tip("with_room"), len(robot.link_names)
     nothing = [_nothing(robot, corners, link) for corners, count in enumerate(counts, 1) for _ in range(count)]
     free = _free("with_room", robot, _as_links("with_room", touches), last)
