@@ -2,6 +2,7 @@
 
 import atexit
 import gc
+import itertools
 import os
 import shutil
 import sys
@@ -49,6 +50,9 @@ def pytest_sessionstart(session):
     gc.set_threshold(100_000, 50, 100)  # traces make many objects and little garbage
 
 
+_TESTS = itertools.count()
+
+
 def has_kernels():
     """Whether llvmlite is there: neither missing nor hidden (`tests/without_llvmlite.sh`)."""
     try:
@@ -72,11 +76,11 @@ def pytest_collection_modifyitems(config, items):
         items[:] = [x for x in items if x not in own]
 
 
-@pytest.fixture(scope="module", autouse=True)
+@pytest.fixture(autouse=True)
 def forgotten():
-    """XLA's programs of a module's tests are forgotten where all runs by XLA: those of all of them take many gigabytes."""
+    """XLA's programs are forgotten after some tests where all runs by XLA: those of a module take up to eleven gigabytes."""
     yield
-    if not has_kernels():
+    if not has_kernels() and next(_TESTS) % 10 == 9:
         import jax
 
         jax.clear_caches()
