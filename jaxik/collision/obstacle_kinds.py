@@ -43,7 +43,7 @@ def places_after(place: Any, pose: Any) -> Any:
 class Kind(Constant):
     """Obstacles of one kind: where they are, as points (k, 3) or frames (k, 4, 4), and their sizes, `radius` and `half` [m]."""
 
-    # `bvh` keeps there how they were grouped last; copies and pickles do not take them over
+    # how `bvh` grouped them last, and their `size`: copies and pickles do not take these over
     __slots__ = ("_groups", "_size")
     _of_places: ClassVar[tuple[str, ...]] = ()  # which of the fields say where they are
     _measured: ClassVar[tuple[str, ...]] = ()  # and which are lengths
