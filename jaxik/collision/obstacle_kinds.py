@@ -77,7 +77,7 @@ class Kind(Constant):
         found: float | None = getattr(self, "_size", None)
         if found is None:
             self.freeze()  # `jax.tree_util.tree_map` puts arrays in without a constructor
-            numbers = [np.abs(np.asarray(x, float)) for name, x in vars(self).items() if name in self._measured]
+            numbers = [np.abs(np.asarray(vars(self)[name], float)) for name in self._measured]
             found = float(max(np.max(x, where=x < FAR / 2.0, initial=0.0) for x in numbers))
             object.__setattr__(self, "_size", found)
         return found

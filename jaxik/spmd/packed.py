@@ -23,16 +23,14 @@ def packed(tree: Any, floats: Any = None) -> Packed:
     """The arrays of a pytree, packed; all floats as such `floats`, if they are told. Host."""
     leaves, structure = jax.tree_util.tree_flatten(tree)
     rows: dict[Any, list[np.ndarray]] = {}
-    ends, layout = [], []
+    ends: dict[Any, int] = {}
+    layout = []
     for x in map(np.asarray, leaves):
         kind = np.dtype(floats) if floats is not None and x.dtype.kind == "f" else x.dtype
-        if kind not in rows:
-            rows[kind] = []
-            ends.append(0)
-        row = [*rows].index(kind)
-        rows[kind].append(x.ravel())
-        layout.append((row, ends[row], x.shape))
-        ends[row] += x.size
+        rows.setdefault(kind, []).append(x.ravel())
+        first = ends.get(kind, 0)
+        ends[kind] = first + x.size
+        layout.append(([*rows].index(kind), first, x.shape))
     joined = tuple(np.concatenate(row, dtype=kind, casting="same_kind") for kind, row in rows.items())
     return Packed(joined, tuple(layout), structure)
 
