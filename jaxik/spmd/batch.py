@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.platforms import after_fork, cache_home, cores
-from jaxik.spmd.host import HostKernel, in_width
+from jaxik.spmd.host import HostKernel
 from jaxik.spmd.program import Unsupported
 
 Cached = TypeVar("Cached", bound=Any)
@@ -61,12 +61,12 @@ def in_blocks(
     wide = jnp.result_type(float) == np.float64 if double is None else double
     made = rows or (lambda *columns: columns)
     if isinstance(function, HostKernel):
-        kernel, by_xla = function, function.by_xla
-        function = lambda *args: by_xla(*in_width(args, double))
+        kernel, asked = function, double if rows is None else wide
+        function = lambda *args: kernel.in_width_by_xla(args, asked)
         try:
             if rows is None:
-                return kernel.run(*columns, *fixed, double=double, threads=threads(), team=cores())
-            return _by_blocks(lambda *part: kernel.run(*made(*part), *fixed, double=wide), columns, GATHERED)
+                return kernel.run(*columns, *fixed, double=asked, threads=threads(), team=cores())
+            return _by_blocks(lambda *part: kernel.run(*made(*part), *fixed, double=asked), columns, GATHERED)
         except Unsupported:
             pass
 

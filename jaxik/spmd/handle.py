@@ -118,8 +118,8 @@ class Handle:
     def _by_xla(self, shared: tuple[Any, ...], *arrays: np.ndarray, out: Any = None) -> list[np.ndarray]:
         assert self._form is not None
         rows = jax.tree_util.tree_unflatten(self._form.given, [x[None] for x in arrays])
-        with jax.enable_x64(self.double):
-            found = [np.asarray(x)[0] for x in jax.tree_util.tree_leaves(self._kernel.by_xla(*rows, *shared))]
+        results = self._kernel.in_width_by_xla((*rows, *shared), self.double)
+        found = [np.asarray(x)[0] for x in jax.tree_util.tree_leaves(results)]
         for x, new in zip(out or [], found, strict=out is not None):
             x[...] = new
         return found

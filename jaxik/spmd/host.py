@@ -13,7 +13,6 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxik.garbage import uncollected
@@ -63,10 +62,9 @@ class HostKernel:
         count = len(jax.tree_util.tree_leaves(args[: self.lanes])[0])
         room = 1 << max(count - 1, 0).bit_length()  # of few sizes, for each of which XLA compiles; of no rows NumPy makes zeros
         rows = jax.tree_util.tree_map(lambda x: np.resize(x, (room, *np.shape(x)[1:])), args[: self.lanes])
-        wide = jnp.result_type(float) == np.float64 if double is None else double
-        with jax.enable_x64(wide), jax.ensure_compile_time_eval():
+        with jax.ensure_compile_time_eval():
             # now, also where what calls is being traced: a robot's closed forms are found then
-            found = self.by_xla(*in_width((*rows, *args[self.lanes :]), double))
+            found = self.in_width_by_xla((*rows, *args[self.lanes :]), double)
             return [np.asarray(x)[:count] for x in jax.tree_util.tree_leaves(found)]
 
     def run(
@@ -145,9 +143,7 @@ class HostKernel:
         args = self._with_arrays(args)
         leaves, tree = jax.tree_util.tree_flatten(args)
         rows = len(jax.tree_util.tree_leaves(args[: self.lanes]))
-        if double is None:
-            floats = [x.dtype for x in map(np.asarray, leaves[:rows]) if x.dtype.kind == "f"]
-            double = jax.dtypes.canonicalize_dtype(np.result_type(*floats, np.float32)) == np.float64
+        double = _is_double(leaves[:rows]) if double is None else double
         width = np.dtype(np.float64 if double else np.float32)
         operands = [as_operand(x, width) for x in leaves]
         count = _rows(operands, rows)
@@ -180,6 +176,14 @@ class HostKernel:
     def by_xla(self) -> Callable[..., Any]:
         """The same as a compiled program of JAX."""
         return jax.jit(functools.partial(rows_by_xla, self.function, self.lanes))
+
+    def in_width_by_xla(self, args: Any, double: bool | None = None) -> Any:
+        """`by_xla`, in the width that `run` would take."""
+        if double is None:
+            double = _is_double(jax.tree_util.tree_leaves(args[: self.lanes]))
+        width = np.dtype(np.float64 if double else np.float32)
+        with jax.enable_x64(double):
+            return self.by_xla(*jax.tree_util.tree_map(lambda x: as_operand(x, width), args))
 
     @uncollected()
     def _made(
@@ -236,10 +240,10 @@ def host_kernels(lanes: int, known: int = 64) -> Callable[[Callable[..., Any]], 
     return factory
 
 
-def in_width(args: Any, double: bool | None) -> Any:
-    """Arguments for XLA, their floats in the width that is asked, if one is."""
-    width = np.dtype(np.float64 if double else np.float32)
-    return args if double is None else jax.tree_util.tree_map(lambda x: as_operand(x, width), args)
+def _is_double(rows: list[Any]) -> bool:
+    """Whether JAX, as it is set here, would compute with such arrays in float64."""
+    floats = [x.dtype for x in map(np.asarray, rows) if x.dtype.kind == "f"]
+    return bool(jax.dtypes.canonicalize_dtype(np.result_type(*floats, np.float32)) == np.float64)
 
 
 def as_operand(x: Any, width: Any) -> np.ndarray:

@@ -46,7 +46,8 @@ Index = int | Computed
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Array:
-    """`at` holds values; with a `memory`, addresses in it (readable after the value `after`)."""
+    """`at` holds values; with a `memory`, addresses in it (readable after the value `after`), whose numbers are taken as
+    `type`."""
 
     at: np.ndarray
     type: str
@@ -180,9 +181,14 @@ class Scalariser:
         self.current(array)
         if array.at.size > LARGEST:
             raise Unsupported(f"an array of {array.at.size} entries, each used")
-        load, memory = self.program.load, array.memory
-        flat = [load(memory, int(i), None, array.after) for i in array.at.ravel()]
+        flat = [self.read(array, int(i)) for i in array.at.ravel()]
         return np.array(flat, np.int64).reshape(array.shape)
+
+    def read(self, array: Array, offset: int, index: int | None = None) -> int:
+        """A number of an array that is in memory, as `Program.load` finds it, in the array's type."""
+        assert array.memory is not None
+        found = self.program.load(array.memory, offset, index, array.after)
+        return found if array.type == array.memory.type else self.program.op("convert", array.type, found)
 
     def output(self, array: Array) -> list[int] | Whole:
         """The entries as values; or as memory, where they are what a loop has stacked."""
@@ -202,10 +208,10 @@ class Scalariser:
             return self.values(array.rearranged(array.at[fixed].reshape(1)))[0].item()
         if array.memory is None and math.prod(i.among for _, i in computed) > CHOICES:
             array = self.in_memory(array)
-        p = self.program
         if array.memory is not None and array.strides is not None:
             self.current(array)
-            return p.load(array.memory, int(array.at[fixed]), self.offset(place, array.strides), array.after)
+            return self.read(array, int(array.at[fixed]), self.offset(place, array.strides))
+        p = self.program
         axis, index = computed[0]  # one choice after the other
         pick = lambda k: self.entry(array, [*place[:axis], index.shift + k, *place[axis + 1 :]])
         found = pick(0)
@@ -274,13 +280,13 @@ class Scalariser:
     def put(self, memory: Memory, array: Array) -> Array:
         """Writes an array to kept memory: one number over and over, what lies in a row, or value by value."""
         p, size, here = self.program, array.at.size, np.arange(array.at.size).reshape(array.shape)
-        flat, source, lies = array.at.ravel(), array.memory, None
-        if source is None:
+        flat, lies = array.at.ravel(), None
+        if array.memory is None:
             same = bool((flat == flat[0]).all())
             lies = (lambda i: int(flat[0])) if same else None
         elif array.strides is not None and (size == 1 or (np.diff(flat) == 1).all()):
             self.current(array)
-            lies = lambda i: p.load(source, int(flat[0]), i, array.after)
+            lies = lambda i: self.read(array, int(flat[0]), i)
         if lies is None or size <= CHOICES:
             for k, v in enumerate(self.values(array).ravel().tolist()):
                 self.latest[memory.number] = p.store(memory, k, None, v, kept=True)

@@ -15,7 +15,7 @@ from jax.scipy.linalg import cho_solve
 
 import jaxik
 from jaxik import spmd
-from jaxik.spmd import call, host, primitive
+from jaxik.spmd import batch, call, host, primitive
 from jaxik.spmd.scalarise import scalarised
 from jaxik.spmd.trace import trace
 
@@ -238,6 +238,36 @@ def test_an_exported_program_calls_nothing_that_another_process_lacks():
     exported = jax.export.export(jax.jit(jax.vmap(function)))(jax.ShapeDtypeStruct(X.shape, X.dtype))
     assert "stablehlo.reduce" in exported.mlir_module() and "custom_call" not in exported.mlir_module()
     close(exported.call(X), np.cumsum(np.sin(X), 1))
+
+
+def beside_a_table(x, table):
+    """A row of a table that is wider than the arguments."""
+    taken = table.astype(x.dtype)
+    return x + taken[(100.0 * jnp.abs(x[0])).astype(jnp.int32)]
+
+
+TABLE = RNG.normal(size=(5000, 4))
+
+
+@pytest.mark.parametrize("turned", [lambda t: t, jnp.transpose], ids=["as it lies", "transposed"])
+def test_of_a_table_of_another_width_only_what_is_read_is_converted(turned):
+    with jax.enable_x64(True):
+        x, table = X.astype(np.float32), jnp.asarray(turned(TABLE))
+        function = lambda x, table: beside_a_table(x, turned(table))
+        program = scalarised(trace(function, (x[0], table))[0])
+        found = over(function, x, table, axes=(0, None))
+    assert len(program.ops) < 100 and found.dtype == np.float32
+    np.testing.assert_array_equal(found, x + TABLE.astype(np.float32)[(100.0 * np.abs(x[:, 0])).astype(int)])
+
+
+def test_rows_say_in_which_width_a_host_kernel_goes_by_xla():
+    kernel, x = host.HostKernel(beside_a_table, 1), X.astype(np.float32)
+    with jax.enable_x64(True):
+        ways = [kernel(x, TABLE), batch.in_blocks(kernel, x, fixed=(TABLE,))]
+        in_both = [kernel(x, TABLE, double=True), batch.in_blocks(kernel, x, fixed=(TABLE,), double=True)]
+    assert [found.dtype for (found,) in ways + in_both] == [np.float32] * 2 + [np.float64] * 2
+    for found in (*ways, *in_both):
+        close(found[0], x + TABLE[(100.0 * np.abs(x[:, 0])).astype(int)], 1e-6)
 
 
 def test_a_host_kernel_by_xla():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from jaxik.spmd import elementary
 from jaxik.spmd.program import DTYPES, FLOATS, limits
-from jaxik.spmd.scalarise import RULES, Array, Rule, Scalariser, Unsupported, kind_of, rule, unflattened
+from jaxik.spmd.scalarise import KEPT, RULES, Array, Rule, Scalariser, Unsupported, kind_of, rule, unflattened
 
 _SAME = {name: name for name in ("add", "sub", "mul", "neg", "abs", "max", "min", "sqrt", "floor", "ceil")}
 _SAME |= {name: name for name in ("and", "or", "xor", "not", "eq", "ne", "lt", "le", "gt", "ge")}
@@ -123,6 +124,8 @@ def _convert(s: Scalariser, eqn: Any, x: Array) -> Array:
         return x
     if kind == "i1":
         return s.map("ne", "i1", x, s.full((), 0, x.type))
+    if x.memory is not None and x.memory.kind != "scratch" and x.type == x.memory.type and x.at.size > KEPT:
+        return dataclasses.replace(x, type=kind)  # of a table only what is read is converted
     return s.map("convert", kind, x)
 
 
