@@ -12,7 +12,7 @@ export PYTHONPATH="$hidden${PYTHONPATH:+:$PYTHONPATH}"
 areas=("$@")
 if [ ${#areas[@]} = 0 ]; then
   for folder in tests/*/; do compgen -G "$folder/test_*.py" > /dev/null && areas+=("$(basename "$folder")"); done
-  areas+=(test_costs.py)
+  areas+=($(basename -a tests/test_*.py))
 fi
 failed=()
 for area in "${areas[@]}"; do

@@ -135,10 +135,11 @@ def _program(problem: Problem) -> tuple[HostKernel, tuple[Any, ...], bool]:
     """The program that answers targets, an example of what it is given, and whether it goes through branches."""
     if has_branches(problem):
         values = points(blind(problem))
-        given: tuple[Any, ...] = problem.poses[:1], problem.tolerance[:1], np.int32(0), np.int32(len(values)), values
+        target = problem.poses[:1], problem.tolerance[:1]
         if problem.scene is None:
-            return first_answers(problem.robot), given, True
-        return first_clear_answers(problem.robot), (*given, problem.scene, np.float64(problem.options.margin)), True
+            return first_answers(problem.robot), (*target, np.zeros(1, np.int32), values, np.bool_(False)), True
+        around = problem.scene, np.float64(problem.options.margin)
+        return first_clear_answers(problem.robot), (*target, values, *around), True
     given, setup = seed_rows(problem, SEEDS, ends=False)
     return first_from_seeds(setup), given, False
 

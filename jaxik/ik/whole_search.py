@@ -114,16 +114,14 @@ def _has_no_derivative(*_: Any) -> Any:
 def _branches(problem: Problem) -> Callable[[Any, Any], Answer]:
     """The search among branches, as a function of a pose and its tolerances."""
     values, robot = points(blind(problem)), problem.robot
-    first, last = jnp.int32(0), jnp.int32(len(values))
 
     def search(pose: Any, tolerance: Any) -> Answer:
         if problem.scene is None:
-            q, away, turned, number = first_answer(robot, pose, tolerance, first, last, jnp.asarray(values))
+            first = jnp.int32(0), jnp.asarray(values), jnp.bool_(False)
+            q, away, turned, number = first_answer(robot, pose, tolerance, *first)
             return Answer(q, away, turned, jnp.full_like(away, jnp.nan), number, jnp.int32(0))
         around, margin = problem.scene, problem.options.margin
-        q, away, turned, apart, number = first_clear_answer(
-            robot, pose, tolerance, first, last, jnp.asarray(values), around, margin
-        )
+        q, away, turned, apart, number = first_clear_answer(robot, pose, tolerance, jnp.asarray(values), around, margin)
         return Answer(q, away, turned, jnp.where(apart == -jnp.inf, jnp.nan, apart), number, jnp.int32(0))
 
     return search

@@ -16,10 +16,12 @@ from robots import ROBOTS, bare, joint_range, pinocchio, pose_errors
 
 import jaxik
 from jaxik import Reason
+from jaxik.analytic.solutions import closed_forms
 from jaxik.ik import seeds, sqp_programs
 from jaxik.kinematics import turns
 from jaxik.kinematics.shapes import Volume
 from jaxik.spmd import call as kernels
+from jaxik.spmd.batch import in_blocks
 
 POSITION = 1e-6  # [m], the default tolerances
 ROTATION = 1e-6  # [rad]
@@ -754,6 +756,23 @@ def test_over_given_values_no_target_is_lost(name):
     searched = jaxik.solve_ik(robot, targets[:20], choice="freedom", seeds="library")
     freedom = jax.vmap(lambda q: jaxik.costs.joint_limit_margin(robot, q))
     assert freedom(freest.q).mean() > freedom(searched.q).mean() - 1e-3
+
+
+@pytest.mark.parametrize("name", ["panda", "iiwa14", "gen3", "p6r"])
+def test_over_given_values_the_first_branch_inside_is_the_answer(name):
+    """All branches at all points in float64 tell which it is, though float32 says which of them are looked at."""
+    robot, tries = robot_of(name), 16
+    targets = reachable(robot, 300)
+    values = seeds.low_discrepancy(seeds.Range.of(*joint_range(robot)).given(robot), 0, 0, tries)
+    rows = np.repeat(targets, tries, axis=0), np.tile(values, (len(targets), 1))
+    q, _, inside = in_blocks(closed_forms(robot), *rows, double=True)
+    q, inside = q.reshape(len(targets), -1, robot.num_joints), inside.reshape(len(targets), -1)
+    has, first = inside.any(axis=1), inside.argmax(axis=1)
+    assert has.mean() > 0.9
+    result = jaxik.solve_ik(robot, targets, collision=False)
+    np.testing.assert_array_equal(result.seed[has], first[has])
+    away = result.q[has] - q[np.arange(len(targets)), first][has]
+    np.testing.assert_allclose(away, 2.0 * np.pi * np.round(away / (2.0 * np.pi)), rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("options", [{"solutions": "all"}, {"solutions": 3}, {"choice": "freedom"}])
