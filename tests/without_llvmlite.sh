@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # All tests as if llvmlite were not installed, area by area: `tests/without_llvmlite.sh [AREA...]`, such as `kinematics dynamics`.
-# Everything runs by XLA then, many times as slow, so this is for a night: an area that takes more than LIMIT seconds (3,600) is
+# Everything runs by XLA then, many times as slow, so this is for a night: an area that takes more than LIMIT seconds (7,200) is
 # given up and counts as failed. Tests of kernels themselves are left out, and how many is told (`tests/conftest.py`).
 set -uo pipefail
 cd "$(dirname "$0")/.."
@@ -17,7 +17,7 @@ fi
 failed=()
 for area in "${areas[@]}"; do
   echo "== $area"
-  timeout "${LIMIT:-3600}" python -m pytest -q "tests/$area"
+  timeout "${LIMIT:-7200}" python -m pytest -q "tests/$area"
   code=$?
   test $code = 0 -o $code = 5 || failed+=("$area")  # 5: an area of kernels alone
 done
