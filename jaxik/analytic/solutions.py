@@ -164,6 +164,7 @@ def may_be_inside(robot: Robot, pose: Any, given: Any) -> Any:
     return closed_form(robot, pose.astype(jnp.float32), given.astype(jnp.float32)).within_limits
 
 
+# by rows of poses and what is given
 tried_branches = host_kernels(2, known=16)(may_be_inside)
 
 

@@ -84,14 +84,18 @@ def _first(problem: Problem, left: np.ndarray) -> Found:
     """Returns, for each target, the first branch inside the limits at the first point at which one has the pose. Where
     targets are many, the branches that may be it are named first, in waves."""
     values, first, kernel = points(problem), np.zeros(len(left), np.int32), first_answers(problem.robot)
-    targets = lambda left: (_of(problem.poses, left), _of(problem.tolerance, left))
-    answered = lambda some, first, named: in_blocks(kernel, *targets(some), first, fixed=(values, named), double=True)
-    named = np.bool_(len(left) > FEW and bool(values.shape[1]))
+    named = np.bool_(len(left) > FEW and values.shape[1] > 0)
+
+    def answered(some: np.ndarray, first: np.ndarray) -> list[np.ndarray]:
+        targets = _of(problem.poses, some), _of(problem.tolerance, some)
+        return in_blocks(kernel, *targets, first, fixed=(values, named), double=True)
+
     if named:
-        ahead(kernel, lambda: answered(left[:1], first[:1], named))
+        one = left[:1], first[:1]
+        ahead(kernel, lambda: answered(*one))
         first = _likely(problem, left, values)
         left, first = _of(left, first < NOBODY), _of(first, first < NOBODY)
-    q, away, turned, number = answered(left, first, named)
+    q, away, turned, number = answered(left, first)
     has = number < NOBODY
     found = candidates(_of(q, has), _of(left, has), _of(number, has))
     return found._replace(position_error=_of(away, has), rotation_error=_of(turned, has))

@@ -55,8 +55,8 @@ def in_blocks(
     arrays, or pytrees of them. `size` rows are a block where XLA has to do it. `rows`, of some rows of
     `columns`, are those that the function takes: made block by block, in the block's own thread.
 
-    `double` says whether it runs in float64 or float32 whatever JAX is set to; None is as it is set here, which other threads
-    would not know.
+    `double` says whether it runs in float64 or float32 whatever JAX is set to; None is as JAX is set here, which other threads
+    would not know, and takes the rows of a kernel.
     """
     wide = jnp.result_type(float) == np.float64 if double is None else double
     made = rows or (lambda *columns: columns)

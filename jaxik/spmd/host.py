@@ -52,8 +52,8 @@ class HostKernel:
         return HostKernel, (self.function, self.lanes)  # another process makes its own
 
     def __call__(self, *args: Any, double: bool | None = None) -> list[np.ndarray]:
-        """The results' leaves, each (b, ...), by a kernel, or by XLA where there is none, in the width that `double` says, or
-        else that JAX is set to here. Raises `ValueError` if the arguments do not have as many rows as each other."""
+        """The results' leaves, each (b, ...), by a kernel, or by XLA where there is none, in the width that `double` says, as
+        `run` has it. Raises `ValueError` if the arguments do not have as many rows as each other."""
         try:
             return self.run(*args, double=double)
         except Unsupported:
@@ -143,7 +143,7 @@ class HostKernel:
         args = self._with_arrays(args)
         leaves, tree = jax.tree_util.tree_flatten(args)
         rows = len(jax.tree_util.tree_leaves(args[: self.lanes]))
-        double = _is_double(leaves[:rows]) if double is None else double
+        double = _is_double(leaves[:rows], double)
         width = np.dtype(np.float64 if double else np.float32)
         operands = [as_operand(x, width) for x in leaves]
         count = _rows(operands, rows)
@@ -179,8 +179,7 @@ class HostKernel:
 
     def in_width_by_xla(self, args: Any, double: bool | None = None) -> Any:
         """`by_xla`, in the width that `run` would take."""
-        if double is None:
-            double = _is_double(jax.tree_util.tree_leaves(args[: self.lanes]))
+        double = _is_double(jax.tree_util.tree_leaves(args[: self.lanes]), double)
         width = np.dtype(np.float64 if double else np.float32)
         with jax.enable_x64(double):
             return self.by_xla(*jax.tree_util.tree_map(lambda x: as_operand(x, width), args))
@@ -240,8 +239,10 @@ def host_kernels(lanes: int, known: int = 64) -> Callable[[Callable[..., Any]], 
     return factory
 
 
-def _is_double(rows: list[Any]) -> bool:
-    """Whether JAX, as it is set here, would compute with such arrays in float64."""
+def _is_double(rows: list[Any], asked: bool | None) -> bool:
+    """Whether floats are computed in float64: as is asked, or else as JAX, as it is set here, would take such rows."""
+    if asked is not None:
+        return asked
     floats = [x.dtype for x in map(np.asarray, rows) if x.dtype.kind == "f"]
     return bool(jax.dtypes.canonicalize_dtype(np.result_type(*floats, np.float32)) == np.float64)
 
