@@ -175,6 +175,21 @@ def test_both_widths():
     assert KERNEL(Q[0], LENGTHS[0])[1].dtype == np.float64
 
 
+@pytest.mark.parametrize("through", [spmd.kernel, jax.jit])
+def test_constants_have_the_width_of_their_program(through):
+    """Whatever width another program has that takes the same array: JAX 0.9.1 to 0.10.2 gave both what the first one took."""
+    array = np.array([1.0 / 3.0, 2.0 / 3.0, 0.1])
+    away = lambda x: jnp.sum(array * x)
+    for double in (False, True, False):
+        with jax.enable_x64(double):
+            kept = jax.make_jaxpr(away)(np.ones(3, np.float64 if double else np.float32))
+            assert kept.consts[0].dtype == (np.float64 if double else np.float32)
+            x = np.array([1.0, 2.0, 3.3])
+            found = through(lambda x: away(x))(x)
+            assert found.dtype == kept.consts[0].dtype
+            np.testing.assert_allclose(found, array @ x, rtol=1e-15 if double else 1e-6)
+
+
 def test_traced_outside():
     """A value that a kernel closes over may be traced: it is an operand then."""
 
