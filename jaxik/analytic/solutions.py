@@ -104,14 +104,19 @@ def polished(solver: Solver, pose: Any, q: Any, margins: Any) -> tuple[Any, Any]
 
 def _polished(solver: Solver, aim: Frame, q: Any, margin: Any) -> tuple[Any, Any]:
     """One branch after the steps, and its margin."""
-    q = lax.fori_loop(0, STEPS, lambda _, q: q + _step(solver, q, aim), q)
+
+    def again(_: Any, state: tuple[Any, Any]) -> Any:
+        return lax.cond(state[1], lambda: state, lambda: _stepped(solver, state[0], aim))
+
+    q, _ = lax.fori_loop(0, STEPS, again, (q, jnp.bool_(False)))
     left = jnp.max(jnp.abs(jnp.stack(_look(solver, q, aim)[1])))
     there = (left <= CLOSE) & (margin >= -EDGE)
     return q, jnp.where(there, jnp.maximum(margin, 0.0), -jnp.maximum(left, EXACT))
 
 
-def _step(solver: Solver, q: Any, aim: Frame) -> Any:
-    """The least step (n,) of the solved joints towards the pose; none next to a singularity, where it would be long."""
+def _stepped(solver: Solver, q: Any, aim: Frame) -> tuple[Any, Any]:
+    """The joints (n,) after the least step of the solved ones towards the pose, none next to a singularity, where it would be
+    long; and whether it was the last one that changes a digit: errors are squared at each."""
     columns, away = _look(solver, q, aim)
     rows = [list(row) for row in zip(*columns, strict=True)]
     squares = [[dot(a, b) for b in rows[: i + 1]] for i, a in enumerate(rows)]
@@ -120,7 +125,7 @@ def _step(solver: Solver, q: Any, aim: Frame) -> Any:
     pull = definite_solve(squares, away, 1e-12)
     step = jnp.stack([dot(each, pull) for each in columns])
     step = jnp.where(jnp.max(jnp.abs(step)) < 0.1, step, 0.0)
-    return jnp.zeros_like(q).at[np.array(solver.solved)].set(step)
+    return q.at[np.array(solver.solved)].add(step), jnp.max(jnp.abs(jnp.stack(away))) <= CLOSE
 
 
 def _look(solver: Solver, q: Any, aim: Frame) -> tuple[list[Any], list[Any]]:
