@@ -222,6 +222,7 @@ def closed_form_obstacle(robot: Robot) -> str:
 MOST_SCANNED = 2  # given values: a grid over three is larger than a search
 
 
+@functools.lru_cache(maxsize=64)
 def scan_obstacle(robot: Robot) -> str:
     """Returns why postures cannot be sought over a grid of what the closed form is given, or an empty string."""
     if reason := closed_form_obstacle(robot):

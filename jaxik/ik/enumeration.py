@@ -47,7 +47,7 @@ def enumerable(problem: Problem) -> bool:
     nearest = problem.choice == "closest" or (problem.choice == "comfort" and problem.reference is not None)
     if (nearest and robot.num_joints > 6) or (problem.first_will_do and robot.num_joints > 7 and not wanted):
         return False
-    return set(options.locked) <= {robot.joint_names[i] for i in solver_of(robot).given_joints}
+    return not options.locked or set(options.locked) <= {robot.joint_names[i] for i in solver_of(robot).given_joints}
 
 
 @functools.lru_cache(maxsize=64)

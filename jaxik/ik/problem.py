@@ -26,6 +26,7 @@ from jaxik.kinematics.joint_turns import TURN, periodic
 from jaxik.kinematics.robot import Robot, finite_range
 from jaxik.kinematics.task import Task
 from jaxik.kinematics.tasks import BASE_END, Tasks
+from jaxik.pytree import replaced
 from jaxik.spatial.rotations import frame
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
@@ -165,7 +166,9 @@ class Problem:
             check_cost("solve_ik", options.cost, n)
         check_seed("solve_ik", seed)
         names = "position_tolerance", "rotation_tolerance"
-        tolerance = np.array([_shaped(name, getattr(options, name), (count,)) for name in names]).T
+        tolerance = np.empty((count, 2))
+        for k, name in enumerate(names):
+            tolerance[:, k] = _shaped(name, getattr(options, name), (count,))
         if not (tolerance > 0.0).all():
             told = shown(", ".join(f"{name} {getattr(options, name)}" for name in names))
             raise ValueError(f"solve_ik: {told}; both are > 0 [m, rad]")
@@ -214,7 +217,8 @@ class Problem:
         """Keeps only some of the targets."""
         reference = None if self.reference is None else self.reference[rows]
         own = {name: getattr(self, name)[rows] for name in ("poses", "fault", "faulty", "tolerance")}
-        return dataclasses.replace(self, **own, reference=reference)
+        part: Problem = replaced(self, **own, reference=reference)
+        return part
 
     def of_arm(
         self, arm: Robot, tasks: Tasks, poses: np.ndarray, limits: Any, reference: np.ndarray | None, **changes: Any
@@ -358,6 +362,8 @@ def _range(robot: Robot, lower: tuple[float, ...], upper: tuple[float, ...], one
 
 def _shaped(name: str, value: Any, shape: tuple[int, ...], least: int = 0) -> np.ndarray:
     """Broadcasts numbers with the last axes of `shape`, at least `least` of them, along the others."""
+    if type(value) is float and not least:
+        return np.full(shape, value)
     return np.broadcast_to(numbers(name, value, *(shape[k:] for k in range(len(shape) - least, -1, -1))), shape)
 
 

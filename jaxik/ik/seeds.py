@@ -48,6 +48,7 @@ class Range(NamedTuple):
     def of(low: np.ndarray, high: np.ndarray) -> Range:
         return Range(tuple(low.tolist()), tuple(high.tolist()))
 
+    @functools.lru_cache(maxsize=64)  # noqa: B019  # of few ranges and robots
     def given(self, robot: Robot) -> Range:
         """The range of what a robot's closed form is given, where this is that of its joints."""
         return Range.of(*solver_of(robot).given_range(self.low, self.high))

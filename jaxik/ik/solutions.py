@@ -39,6 +39,8 @@ class Found(NamedTuple):
             if kept.all():
                 return self
             kept = np.flatnonzero(kept)
+        if len(kept) == len(self.target) and (np.diff(kept) > 0).all():  # all, as they are
+            return self
         return Found(*(column.take(kept, axis=0) for column in self))  # in a third of the time of an index
 
     @staticmethod

@@ -31,6 +31,7 @@ from jaxik.ik.multistart import Outcome, beyond_reach
 from jaxik.ik.nearest import binding, check_nearest, distances, least_distances, proven, with_nearest
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import Poses, Problem, is_looked_at
+from jaxik.ik.refinement import SOLVED
 from jaxik.ik.remembered import answered_directly, surroundings
 from jaxik.ik.result import IKResult
 from jaxik.ik.solutions import Found, candidates, cleared, far_apart, scores, top, with_turns
@@ -103,14 +104,22 @@ def solve_ik(
         warnings.warn(f"solve_ik: {unseen}", stacklevel=2)
     for around in {id(one): one for one, _ in each if one is not None}.values():
         warn_of_scene("solve_ik", robot, around, options.margin)
-    for ends, poses in zip(tasks.ends, tasks.poses(given.poses), strict=True):
-        if doubt := millimetres(robot, poses[given.fault == 0, :3, 3], ends=ends):
-            warnings.warn(f"solve_ik: {doubt}", stacklevel=2)
     if scenes is None or options.collision is False:
         result = solved(robot, given, None if options.collision is False else each[0][0], seed, options, progress, tasks)
     else:
         result = _solved_apart(robot, given, scenes, seed, options, progress, tasks)
+    for doubt in _doubts(robot, given, tasks, result):
+        warnings.warn(f"solve_ik: {doubt}", stacklevel=2)
     return result[0] if given.single else result
+
+
+def _doubts(robot: Robot, given: Poses, tasks: Tasks, result: IKResult) -> list[str]:
+    """Says which tasks' targets look like millimetres, which are none where most targets were reached."""
+    if 2 * np.count_nonzero(result.reason == SOLVED) > len(given.fault) and not tasks.soft:
+        return []
+    each = zip(tasks.ends, tasks.poses(given.poses), strict=True)
+    doubts = (millimetres(robot, poses[given.fault == 0, :3, 3], ends=ends) for ends, poses in each)
+    return [doubt for doubt in doubts if doubt]
 
 
 def solved(
@@ -234,12 +243,14 @@ def _whole_errors(problem: Problem, shown: Found) -> tuple[np.ndarray, np.ndarra
 def _of_tasks(problem: Problem, outcome: Outcome) -> dict[str, np.ndarray]:
     """Returns which task of each target has the reason, and how far it lies beyond its reach bound."""
     reason, count = outcome.reason, len(outcome.reason)
-    task, beyond = np.full(count, -1) if outcome.task is None else outcome.task, np.zeros(count)
-    if (out := reason == Reason.OUT_OF_REACH).any():
-        past = beyond_reach(problem.rows(np.flatnonzero(out)))
-        beyond[out] = np.maximum(past.max(axis=1), 0.0)
-        task[out] = np.where(beyond[out] > 0.0, past.argmax(axis=1), task[out])
-    found = {"beyond": beyond, "other": np.full(count, -1), "apart": np.zeros((count, 2))}
+    task = np.full(count, -1) if outcome.task is None else outcome.task
+    found = {"task": task, "beyond": np.zeros(count), "other": np.full(count, -1), "apart": np.zeros((count, 2))}
+    if (reason == SOLVED).all():
+        return found
+    if (out := np.flatnonzero(reason == Reason.OUT_OF_REACH)).size:
+        past = beyond_reach(problem.rows(out))
+        found["beyond"][out] = beyond = np.maximum(past.max(axis=1), 0.0)
+        task[out] = np.where(beyond > 0.0, past.argmax(axis=1), task[out])
     if problem.tasks.stacked and (rows := np.flatnonzero(np.isin(reason, (Reason.CONTRADICTION, Reason.NEAREST)))).size:
         clash = contradictions(problem.tasks, problem.poses[rows], problem.tolerance[rows])
         task[rows] = np.where(clash.found, clash.task, task[rows])
