@@ -16,30 +16,26 @@ import numpy as np
 
 from jaxik.collision.bvh import Grouped, own_in
 from jaxik.collision.held import holding
-from jaxik.ik import seeds
+from jaxik.ik import leftovers
 from jaxik.ik.branch_search import NOBODY, first_answers, first_clear_answers
 from jaxik.ik.enumeration import enumerable, points
+from jaxik.ik.multistart import beyond_reach
 from jaxik.ik.problem import RIGID_POSE, Problem
 from jaxik.ik.result import IKResult
-from jaxik.ik.seed_search import Setup, Shared, Target, first_from_seeds
+from jaxik.ik.seed_rows import SEEDS, is_searchable, seed_rows
+from jaxik.ik.seed_search import first_from_seeds
 from jaxik.ik.sqp_programs import batch, clearance_around
 from jaxik.pytree import copied, replaced
 from jaxik.reasons import Reason
 from jaxik.spmd import HostKernel, Unsupported
 from jaxik.spmd.host import Sharing
-from jaxik.spmd.trace import TEAM_SIZE
-
-SEEDS = 128  # that are tried here; a user may ask for no fewer: of fewer the driver makes other steps
 
 Searched = Callable[[np.ndarray, np.ndarray | None], Sequence[np.ndarray]]
 
 
 def is_direct(problem: Problem) -> bool:
     """Whether targets of such a problem, which has one, may be answered directly."""
-    options = problem.options
-    if not problem.first_will_do or options.nearest or options.max_seeds < SEEDS or options.max_seeds % TEAM_SIZE:
-        return False
-    if any(task.within for task in problem.tasks.each) or len(seeds.sliding_base(problem.robot)[0]):
+    if not is_searchable(problem):
         return False
     if problem.strategy == "near":
         return True
@@ -59,6 +55,7 @@ class Direct:
         self._rigid = RIGID_POSE.repeated(np.eye(4)[None], double=True)
         self._search, self._told = _search(problem), _clearances(problem)
         self._structure, self._common = jax.tree_util.tree_structure(problem.scene), _common(problem)
+        self._late: Searched | None = None
         self._bind(())
 
     def within(self, around: Grouped) -> Direct:
@@ -85,6 +82,8 @@ class Direct:
         if not valid[0]:
             return None
         q, away, turned, clearance, number, count = self._found(poses, home)
+        if number[0] >= NOBODY and self._late is not None and self._is_near(poses):
+            q, away, turned, clearance, number, count = self._late(poses, home)
         if number[0] >= NOBODY:
             return None
         if self._apart is not None:
@@ -95,6 +94,15 @@ class Direct:
         arrays = {"solutions": q.copy(), "apart": np.zeros(2)}  # of this result alone: who writes into one changes no other
         vars(result).update(self._usual, **found, **numbers, **arrays)
         return result
+
+    def _is_near(self, poses: np.ndarray) -> bool:
+        """Whether a pose (1, 4, 4) is not known to be out of reach."""
+        return not beyond_reach(replaced(self.problem, poses=poses))[0, 0] > 0.0
+
+    def compile_late(self) -> None:
+        """Compiles what few targets need, too: then none of them waits for the driver, a hundred times as long."""
+        if self._search.given is None and (asked := leftovers.search_of(self.problem)) is not None:
+            self._late = _seed_search(*asked).bound(())
 
 
 def blind(problem: Problem) -> Problem:
@@ -176,24 +184,6 @@ def _search(problem: Problem) -> _Search:
     return _Search(kernel.shared_by(*given, double=True, given=first), before, None if branches else given[0])
 
 
-def seed_rows(problem: Problem, most: int, ends: bool, library: int = seeds.SETS) -> tuple[tuple[Target, Shared], Setup]:
-    """The rows of the targets, what they share, and the facts of a search from `most` seeds, of which so many are of the
-    library, if it has one."""
-    robot, near = problem.robot, problem.strategy == "near"
-    library = library if problem.strategy == "library" else 0
-    inside = problem.whole if near else problem.inside
-    table = np.zeros((most, robot.num_joints))
-    if near:
-        table[:] = seeds.around(inside, problem.seed, 0, most)
-    elif problem.strategy == "low_discrepancy":
-        table[:] = seeds.low_discrepancy(inside, problem.seed, 0, most)
-    else:
-        table[library:] = seeds.uniforms(inside, problem.seed, library, most)
-    clear = problem.scene is not None
-    around = (problem.scene, np.float64(problem.options.margin)) if clear else ()
-    low, high, _ = problem.round_limits
-    shared = Shared(problem.low, problem.high, problem.weights, low, high, table, around)
-    target = Target(problem.poses, problem.tolerance, problem.aim, np.array(problem.home(np.arange(len(problem.aim)))))
-    circles = tuple(problem.circles.tolist())
-    setup = Setup(robot, problem.tasks, problem.unit, circles, most, library, inside, near, clear, problem.alone, ends)
-    return (target, shared), setup
+def _seed_search(kernel: HostKernel, given: tuple[Any, ...]) -> _Search:
+    """A search without surroundings."""
+    return _Search(kernel.shared_by(*given, double=True, given=len(given[0])), 0, given[0])

@@ -27,7 +27,7 @@ import numpy as np
 
 from jaxik.analytic.families import solver_of
 from jaxik.analytic.solutions import BRANCHES, closed_forms
-from jaxik.ik import refinement, seeds
+from jaxik.ik import leftovers, refinement, seeds
 from jaxik.ik.contradictions import contradictions
 from jaxik.ik.enumeration import enumerable, enumerated
 from jaxik.ik.problem import Problem
@@ -118,6 +118,10 @@ def searched_for(problem: Problem, valid: np.ndarray, stuck: Found | None = None
         known = known if problem.reference is None else at_home(problem, known)  # else branches are at home
         if not problem.alone and _is_known(problem):
             problem, stages = _of_the_rest(problem)
+        else:
+            late = leftovers.answered(problem, np.flatnonzero(reason == OPEN))
+            reason[late.target] = SOLVED
+            known = Found.joined([known, late])
     if OPEN in reason:
         refinement.compile_finisher(refinement.settling(problem), *problem.shapes)
     for number, waves in enumerate(stages if OPEN in reason else ()):

@@ -119,7 +119,10 @@ class _World:
     def _made(self, options: IKOptions) -> Direct | None:
         problem = direct_problem(*self._asked, options)
         try:
-            return None if problem is None else Direct(problem)
+            direct = None if problem is None else Direct(problem)
+            if direct is not None:
+                direct.compile_late()
+            return direct
         except Unsupported:  # without a compiler for kernels, or on a GPU, the driver's own way by XLA
             return None
 

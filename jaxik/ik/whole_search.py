@@ -16,12 +16,13 @@ from jaxik.checks.options import check_kind
 from jaxik.collision.scene import Scene
 from jaxik.ik import seeds
 from jaxik.ik.branch_search import NOBODY, first_answer, first_clear_answer
-from jaxik.ik.direct import blind, has_branches, is_direct, seed_rows
+from jaxik.ik.direct import blind, has_branches, is_direct
 from jaxik.ik.enumeration import points
 from jaxik.ik.multistart import bound_slack
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import Poses, Problem, rigid_pose
 from jaxik.ik.remembered import surroundings
+from jaxik.ik.seed_rows import seed_rows
 from jaxik.ik.seed_search import Answer, Target, searched_from_seeds
 from jaxik.kinematics.reach_bound import reach_bound
 from jaxik.kinematics.robot import Robot, as_configuration

@@ -14,7 +14,8 @@ from robots import pinocchio, pose_errors
 
 import jaxik
 from jaxik import Reason
-from jaxik.ik import ik_search, remembered
+from jaxik.ik import ik_search, leftovers, remembered
+from jaxik.ik.solutions import candidates
 from jaxik.spmd import Unsupported
 from jaxik.spmd import call as kernels
 
@@ -135,6 +136,29 @@ def test_a_posture_may_be_many_turns_away(assert_same_bits):
         assert_same(solver(targets[row], begin[row]), one)
     assert wanted.success.all() and np.mean(np.abs(wanted.q - begin).max(axis=1) < 0.5) > 0.8
     assert_same_bits(np.asarray(searched.q)[wanted.seed < 16], wanted.q[wanted.seed < 16], by_xla=SELF_MOTION)
+
+
+@pytest.mark.kernels(reason="the program is a kernel's; without them the driver searches for all")
+def test_what_no_branch_answers_has_the_drivers_bits(monkeypatch):
+    robot = jaxik.load("p6r")
+    _, targets = poses(robot, 20_000)
+    monkeypatch.setattr(leftovers, "FEW", 0)  # by the driver
+    wanted = jaxik.solve_ik(robot, targets, collision=False)
+    late = np.flatnonzero(wanted.iterations > 0)
+    assert wanted.success.all() and 10 < len(late) < 100
+    monkeypatch.undo()
+    solver = jaxik.Solver(robot, collision=False)  # compiles the program
+    used = []
+    monkeypatch.setattr(leftovers, "candidates", lambda q, *rest: used.append(len(q)) or candidates(q, *rest))
+    for first in range(0, len(late), leftovers.FEW):
+        some = np.append(late[first : first + leftovers.FEW], range(50))
+        rows = jaxik.solve_ik(robot, targets[some], collision=False)
+        for number, row in zip(some.tolist(), rows, strict=True):
+            assert_same(row, wanted[number])
+    assert sum(used) == len(late)
+    for number in late.tolist():
+        direct = solver._world.direct(targets[number])
+        assert_same(direct, wanted[number])
 
 
 @pytest.mark.kernels(reason="the direct way is of kernels; without them a solver is the driver")
