@@ -116,7 +116,7 @@ def _polished(solver: Solver, aim: Frame, q: Any, margin: Any) -> tuple[Any, Any
 
 def _stepped(solver: Solver, q: Any, aim: Frame) -> tuple[Any, Any]:
     """The joints (n,) after the least step of the solved ones towards the pose, none next to a singularity, where it would be
-    long; and whether it was the last one that changes a digit: errors are squared at each."""
+    long; and whether it was the last one that changes a digit: away from singularities errors are squared at each."""
     columns, away = _look(solver, q, aim)
     rows = [list(row) for row in zip(*columns, strict=True)]
     squares = [[dot(a, b) for b in rows[: i + 1]] for i, a in enumerate(rows)]

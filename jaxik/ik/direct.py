@@ -7,6 +7,7 @@ is answered here has the same bits as there.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -100,9 +101,10 @@ class Direct:
         return not beyond_reach(replaced(self.problem, poses=poses))[0, 0] > 0.0
 
     def compile_late(self) -> None:
-        """Compiles what few targets need, too: then none of them waits for the driver, a hundred times as long."""
+        """Compiles what few targets need, too: then these do not wait for the driver, a hundred times as long."""
         if self._search.given is None and (asked := leftovers.search_of(self.problem)) is not None:
-            self._late = _seed_search(*asked).bound(())
+            with contextlib.suppress(Unsupported):
+                self._late = _seed_search(*asked).bound(())
 
 
 def blind(problem: Problem) -> Problem:

@@ -7,8 +7,8 @@ for them.
 
 from __future__ import annotations
 
-import collections
-import functools
+import itertools
+import weakref
 
 import numpy as np
 
@@ -17,32 +17,28 @@ from jaxik.ik.problem import Problem
 from jaxik.ik.seed_rows import is_searchable, seed_rows
 from jaxik.ik.seed_search import Shared, Target, first_from_seeds
 from jaxik.ik.solutions import Found, candidates, nothing
+from jaxik.platforms import after_fork
 from jaxik.spmd import HostKernel
-from jaxik.spmd.batch import anew_in_forks, threads
+from jaxik.spmd.batch import ahead
 
 FEW = 16  # targets; more of them share the driver's waves
 TRIED = 32  # seeds, of which the first few lead most of them to an answer; what none answers most often has none
 OFTEN = 4  # calls that left some, from which it is worth to compile for them
 
-
-@anew_in_forks
-@functools.cache
-def _calls() -> collections.Counter[HostKernel]:
-    """How many calls left targets, by the program for them."""
-    return collections.Counter()
+_calls: weakref.WeakKeyDictionary[HostKernel, itertools.count[int]] = weakref.WeakKeyDictionary()  # that left some
+after_fork(_calls.clear)
 
 
 def answered(problem: Problem, left: np.ndarray) -> Found:
-    """The answers of targets numbered `left` that the program finds; none where it is not there yet, or there are many. One
-    target alone has been asked for by who calls one at a time (`direct`)."""
+    """The answers of targets numbered `left` that the program finds; none where it is not there yet, or there are many. A
+    single target is left to `direct`."""
     asked = search_of(problem.rows(left)) if 0 < len(left) <= FEW and len(problem.poses) > 1 else None
     if asked is None:
         return nothing(problem)
     program, given = asked
     if not program.knows(*given, double=True):
-        _calls()[program] += 1
-        if _calls()[program] == OFTEN:
-            threads().submit(program.run, *given, double=True)  # what it raises, without a compiler, nobody needs to know
+        if next(_calls.setdefault(program, itertools.count(1))) == OFTEN:
+            ahead(program, lambda: program.run(*given, double=True))
         return nothing(problem)
     q, away, turned, _, number, count = program.run(*given, double=True)
     found = candidates(q, left, number, len(problem.tasks.each))

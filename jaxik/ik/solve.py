@@ -114,7 +114,7 @@ def solve_ik(
 
 
 def _doubts(robot: Robot, given: Poses, tasks: Tasks, result: IKResult) -> list[str]:
-    """Says which tasks' targets look like millimetres, which are none where most targets were reached."""
+    """Says which tasks' targets look like millimetres: after the search, as none do where most targets were reached."""
     if 2 * np.count_nonzero(result.reason == SOLVED) > len(given.fault) and not tasks.soft:
         return []
     each = zip(tasks.ends, tasks.poses(given.poses), strict=True)

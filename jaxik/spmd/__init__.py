@@ -17,7 +17,7 @@ of trees of them, and `control_loop` for one with a state, sample by sample; `de
 `docs/kernels.md` tells it from the beginning.
 """
 
-from jaxik.spmd import constant_widths as constant_widths  # first: before anything is traced, and it may refuse
+from jaxik.spmd import constant_widths as constant_widths  # first: before anything is traced; an old JAX is refused
 from jaxik.spmd import rules as rules  # which register themselves
 from jaxik.spmd.control_loop import ControlLoop, Stepped
 from jaxik.spmd.decorator import kernel

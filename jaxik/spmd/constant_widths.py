@@ -15,13 +15,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxik.spmd import jax_version as jax_version  # it may refuse
+from jaxik.spmd import jax_version as jax_version  # it refuses an old JAX
 
 try:  # a JAX without these has another way, which is asked below
-    from jax._src.dtypes import canonicalize_value, canonicalize_value_handlers
+    from jax._src.dtypes import canonicalize_value, canonicalize_value_handlers, check_valid_dtype
     from jax._src.literals import TypedNdArray
 except ImportError:  # pragma: no cover
-    canonicalize_value = canonicalize_value_handlers = TypedNdArray = None  # type: ignore[assignment, misc]
+    canonicalize_value = canonicalize_value_handlers = check_valid_dtype = TypedNdArray = None  # type: ignore[assignment, misc]
 
 
 def mixes_widths() -> bool:
@@ -41,7 +41,8 @@ def remembered_by_width() -> Callable[[np.ndarray], Any]:
     known: dict[tuple[int, bool], tuple[weakref.ref[Any], weakref.ref[Any]]] = {}
 
     def constant(array: np.ndarray) -> Any:
-        key = id(array), bool(jax.config.values["jax_enable_x64"])
+        check_valid_dtype(array.dtype)
+        key = id(array), jax.config.jax_enable_x64  # type: ignore[attr-defined]
         entry = known.get(key)
         made = entry[1]() if entry is not None and entry[0]() is array else None
         if made is None:
@@ -52,7 +53,7 @@ def remembered_by_width() -> Callable[[np.ndarray], Any]:
     def forget(key: tuple[int, bool], gone: Any) -> None:
         entry = known.get(key)
         if entry is not None and entry[1] is gone:
-            del known[key]
+            known.pop(key, None)  # another thread may have been here
 
     return constant
 

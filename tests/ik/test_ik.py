@@ -105,6 +105,16 @@ def test_a_result_says_what_would_help(panda):
     assert str(result).splitlines()[0] == "IKResult: 1 of 2 solved, 1 out of reach"
 
 
+@pytest.mark.parametrize("away", [0.0, 2.0])
+def test_who_writes_into_a_result_changes_no_other_array(panda, away):
+    targets = np.tile(np.eye(4), (5, 1, 1))
+    targets[:, :3, 3] = 0.4 + away, 0.0, 0.4
+    arrays = [
+        x for x in jax.tree_util.tree_leaves(jaxik.solve_ik(panda, targets, collision=False)) if isinstance(x, np.ndarray)
+    ]
+    assert not any(np.shares_memory(a, b) for i, a in enumerate(arrays) for b in arrays[:i])
+
+
 def test_misses_rank_the_same_beside_one_that_is_finished(panda):
     """Equal errors in float32 stay equal where another target's, in float64, are ranked with them."""
     width = panda.upper - panda.lower
