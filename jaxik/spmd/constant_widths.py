@@ -1,4 +1,4 @@
-"""A mend of JAX, 0.9.1 to 0.10.2: NumPy constants have the width of the program that takes them.
+"""A mend of JAX, 0.9.2 to 0.10.2: NumPy constants have the width of the program that takes them.
 
 JAX remembers by the array in which width a program took a NumPy array, and gives that to later programs, too, as long as the
 first one is kept: also where that is in float32 and these are in float64. Their constants are rounded to float32 then, or XLA

@@ -177,7 +177,7 @@ def test_both_widths():
 
 @pytest.mark.parametrize("through", [spmd.kernel, jax.jit])
 def test_constants_have_the_width_of_their_program(through):
-    """Whatever width another program has that takes the same array: JAX 0.9.1 to 0.10.2 gave both what the first one took."""
+    """Whatever width another program has that takes the same array: JAX 0.9.2 to 0.10.2 gave both what the first one took."""
     array = np.array([1.0 / 3.0, 2.0 / 3.0, 0.1])
     away = lambda x: jnp.sum(array * x)
     for double in (False, True, False):
