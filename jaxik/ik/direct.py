@@ -101,7 +101,7 @@ class Direct:
         return not beyond_reach(replaced(self.problem, poses=poses))[0, 0] > 0.0
 
     def compile_late(self) -> None:
-        """Compiles what few targets need, too: then these do not wait for the driver, a hundred times as long."""
+        """Compiles what few targets need, too: then these do not wait for the driver, seven times as long."""
         if self._search.given is None and (asked := leftovers.search_of(self.problem)) is not None:
             with contextlib.suppress(Unsupported):
                 self._late = _seed_search(*asked).bound(())

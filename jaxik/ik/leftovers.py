@@ -1,5 +1,5 @@
 """The few targets of many that no branch of the closed form answers, by the program that searches for one target
-(`seed_search`): in a fifth of the driver's time, and with the same bits.
+(`seed_search`): with the driver's bits, and without what it takes from wave to wave.
 
 It takes seconds to compile, so another thread does that, once targets have been left over often; until then the driver searches
 for them.

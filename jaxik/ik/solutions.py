@@ -69,7 +69,7 @@ def portions(rows: np.ndarray, each: int) -> list[np.ndarray]:
 def candidates(q: np.ndarray, target: np.ndarray, number: np.ndarray, tasks: int = 1) -> Found:
     """Makes lanes at their starts, of so many tasks, whose errors and clearances are not known."""
     shape = len(q) if tasks == 1 else (len(q), tasks)
-    away, turned, clearance = np.full(shape, np.nan), np.full(shape, np.nan), np.full(len(q), np.nan)  # each a user's own
+    away, turned, clearance = np.full(shape, np.nan), np.full(shape, np.nan), np.full(len(q), np.nan)  # a result shows each
     return Found(target, q, away, turned, clearance, number, np.zeros(len(q), int))
 
 

@@ -118,13 +118,14 @@ class _World:
 
     def _made(self, options: IKOptions) -> Direct | None:
         problem = direct_problem(*self._asked, options)
+        if problem is None:
+            return None
         try:
-            direct = None if problem is None else Direct(problem)
-            if direct is not None:
-                direct.compile_late()
-            return direct
+            direct = Direct(problem)
         except Unsupported:  # without a compiler for kernels, or on a GPU, the driver's own way by XLA
             return None
+        direct.compile_late()
+        return direct
 
 
 def _again(robot: Robot, scene: Scene | None, seed: int, options: IKOptions) -> Solver:
