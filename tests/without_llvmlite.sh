@@ -9,6 +9,7 @@ trap 'rm -rf "$hidden"' EXIT
 mkdir "$hidden/llvmlite"
 echo 'raise ImportError("llvmlite is hidden, by tests/without_llvmlite.sh")' > "$hidden/llvmlite/__init__.py"
 export PYTHONPATH="$hidden${PYTHONPATH:+:$PYTHONPATH}"
+export JAX_ENABLE_COMPILATION_CACHE=0  # jaxlib 0.10 died twice while it wrote a large program to the cache, after hundreds of tests
 areas=("$@")
 if [ ${#areas[@]} = 0 ]; then
   for folder in tests/*/; do compgen -G "$folder/test_*.py" > /dev/null && areas+=("$(basename "$folder")"); done

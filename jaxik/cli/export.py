@@ -27,7 +27,7 @@ class ExportArguments(ShapedRobotArguments):
     target: str = "native"
     """The processor: native, x86-64 (SSE2), x86-64-v3 (AVX2), x86-64-v4 (AVX-512), aarch64 (NEON), wasm32."""
     scene: str | None = None
-    """A shipped scene or a scene file: what clearance is measured to, beside the robot itself."""
+    """A shipped scene or a scene file: what clearance is measured to, and IK keeps clear of, beside the robot itself."""
     double: bool = False
     """Compute in double instead of float."""
     python: bool = False

@@ -62,7 +62,7 @@ def export(
 
     Raises `ValueError`, in one line, for what a kernel cannot do, with the operation and its place in the source; for an
     unknown target, a signature that does not fit, names that C has not free, words of what is not there, and a path that is a
-    file; and where a linker is missing.
+    file; where a linker is missing, and for a module of Python for another processor than this one.
     """
     name = name or getattr(function, "__name__", "").strip("<>") or "function"
     folder = folder_at(name, path)

@@ -107,7 +107,7 @@ class IKOptions(field.Options, who="solve_ik"):
         default=0,
         least=0,
         words="parts of the joints' ranges, a target, that may be looked at to prove that no posture is nearer, or to find it;"
-        " an arm of five joints needs some 100,000 of a third of a microsecond (`jaxik.ik.nearest_proof`)",
+        " an arm of five joints needs some 500,000 of a third of a microsecond (`jaxik.ik.nearest_proof`)",
     )
 
     def check(self) -> None:

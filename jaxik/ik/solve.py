@@ -288,7 +288,8 @@ def implicit_ik(
     there, regions of a task hold as limits do, and links at `margin` [m] from the scene and from each other; without a scene
     from each other alone, and with `collision=False` nothing is looked at. `defined` is False where there is no derivative: at
     a singularity, where `q` is no (or no isolated) solution, where a limit, a region's edge or an obstacle is touched without
-    being pushed against, or where a capsule or triangle of the robot leans on anything but points and spheres. Use float64.
+    being pushed against, or where a link touches anything, but for a robot of balls alone, and one of capsules, not checked
+    against each other, among points and spheres. Use float64.
 
     Raises `ValueError` for a target, q or margin of another shape. Source: Fiacco 1976, through `optimise.implicit`.
     """
