@@ -224,8 +224,8 @@ class Scene(Constant):
         that holds it there, stands at its pose (4, 4); the poses of several may be (k, 4, 4). Nothing compiles anew, and trees
         of obstacles are not built anew but fitted, where a few objects move again and again.
 
-        Raises `ValueError` for what is no rigid frame, an object that is not there, and one that would be over 100 m away, or
-        100 km of a cloud.
+        Raises `ValueError` for what is no rigid frame, an object that is not there, and one that a pose of over 100 m would
+        take further away than that, or than 100 km of a cloud.
         """
         if pose is not None:
             objects = self._indices(first)
@@ -288,14 +288,16 @@ class Scene(Constant):
             if new is None or not (new.count or (before == number).any()):
                 continue
             kept = np.flatnonzero((before >= 0) & (before != number))
-            join = lambda a, b, kept=kept: np.concatenate([np.asarray(a)[kept], b]) if np.ndim(a) else a
-            kinds[kind] = jax.tree_util.tree_map(join, old, new)
-            owners[k] = (*before[kept].tolist(), *[number] * new.count)
-            check_count(f"scene '{self.name}': {kind}", len(owners[k]))
-            room = dict(self.room).get(kind, len(owners[k]))
-            if len(owners[k]) > room:
+            loose = np.flatnonzero((before < 0) & old.there)  # of no object: behind those that have owners
+            join = lambda a, b, kept=kept, loose=loose: np.concatenate([a[kept], b, a[loose]])
+            joined = lambda a, b, join=join: join(np.asarray(a), b) if np.ndim(a) else a
+            kinds[kind] = jax.tree_util.tree_map(joined, old, new)
+            owners[k], most = (*before[kept].tolist(), *[number] * new.count), kinds[kind].count
+            check_count(f"scene '{self.name}': {kind}", most)
+            room = dict(self.room).get(kind, most)
+            if most > room:
                 mend = "make room for more (Scene.with_room)"
-                raise ValueError(f"scene '{self.name}': {len(owners[k])} {kind} with room for {room}; {mend}")
+                raise ValueError(f"scene '{self.name}': {most} {kind} with room for {room}; {mend}")
         flags = (*self.removable[:number], removable, *self.removable[number + 1 :])
         found = dataclasses.replace(self, **kinds, object_names=names, removable=flags, owners=tuple(owners))
         remembered(found, "checked", lambda: check_scene(self))

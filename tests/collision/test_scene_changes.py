@@ -173,6 +173,19 @@ def test_what_is_taken_away_and_comes_back_is_there():
     np.testing.assert_array_equal(gaps(gone.moved("thing 0", np.eye(4))), gaps(rest))  # what is away stays away
 
 
+def test_what_belongs_to_no_object_stays_when_another_comes():
+    """Obstacles without names were gone, without a word, once an object of their kind was put in."""
+    robot, q = jaxik.load("p6r"), np.array([0.3, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1])
+    tip = (robot.world_T_base @ np.asarray(jaxik.forward_kinematics(robot, q)))[:3, 3]
+    loose = jaxik.make_scene(boxes=[[*tip, 0.1, 0.1, 0.1], [5.0, 0.0, 0.0, 0.1, 0.1, 0.1]]).geometry()
+    scene = loose.with_("cup", boxes=[[3.0, 0.0, 0.0, 0.1, 0.1, 0.1]])
+    assert scene.counts["boxes"] == 3 and scene.with_("cup", boxes=[[4.0, 0.0, 0.0, 0.1, 0.1, 0.1]]).counts["boxes"] == 3
+    assert scene.without("cup").counts["boxes"] == 2
+    assert jaxik.clearance(robot, scene, q) == jaxik.clearance(robot, loose, q) < 0.0
+    with pytest.raises(ValueError, match="belong to no object"):
+        jaxik.files.save_scene(scene, "never.toml")
+
+
 def test_an_object_is_moved_inside_of_a_program_too():
     some = {name: each for name, each in objects(2).items() if name in ("thing 0", "thing 1", "thing 2")}
     scene, by = built(some), pose(np.random.default_rng(2))
