@@ -26,6 +26,7 @@ from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot, need_drives, need_serial
 from jaxik.options import Options, anything, count, number
 from jaxik.planning import Trajectory
+from jaxik.planning.trajectory import check_joints
 from jaxik.pytree import Pytree
 from jaxik.spatial.rotations import to_wxyz
 from jaxik.spmd import HostKernel
@@ -67,7 +68,8 @@ class PlayOptions(Options, who="play"):
     window: int = count(default=1, words="samples over which rates are differences")
 
     def check(self) -> None:
-        check_finite("play", 0.0, **{"rest before": self.rest[0], "rest after": self.rest[1]})
+        rest = numbers("play: rest", self.rest, (2,))
+        check_finite("play", 0.0, **{"rest before": rest[0], "rest after": rest[1]})
         for name in ("current_noise", "current_step", "torsion_noise", "torsion_step", "torsion_play", "position_step"):
             values = numbers(f"play: {name}", getattr(self, name))
             if not np.all(values >= 0.0) or not np.isfinite(values).all():
@@ -140,9 +142,13 @@ def play(
     arm, on_bodies = mujoco_model(robot, options.dt), [_on_body(robot, push) for push in pushes]
     for each in (robot, model):
         need_drives("play", each)
-    asked = _with_rests([motions] if isinstance(motions, Trajectory) else motions, options)
-    if asked.q.shape[1] != robot.num_joints:
-        raise ValueError(f"play: the motion has {asked.q.shape[1]} joints; {robot.name} has {robot.num_joints}")
+    motions = [motions] if isinstance(motions, Trajectory) else list(motions)
+    if not motions:
+        raise ValueError("play: no motion; give a Trajectory, or several in a row")
+    for motion in motions:
+        check_kind("play", "motion", motion, Trajectory)
+        check_joints("play", motion, robot.joint_names)
+    asked = _with_rests(motions, options)
     controller = _controller(model, asked, options)
     q, velocity, current, external, torque, gear = _simulated(mujoco, arm, robot, controller, on_bodies, asked, progress)
     torsion = gear / numbers_of(robot.drives, lambda d: d.stiffness)

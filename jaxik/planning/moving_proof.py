@@ -20,7 +20,7 @@ from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CLOSE
 from jaxik.planning.moving_cells import Course, cells_between, proof
 from jaxik.planning.moving_distances import MovingDistances
-from jaxik.planning.trajectory import JointPath, Trajectory, path_at, place_at
+from jaxik.planning.trajectory import JointPath, Trajectory, check_joints, path_at, place_at
 from jaxik.reasons import Reason
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
@@ -137,7 +137,7 @@ def standing_proof(
     alone, carried = apart(robot)
     begin = float(place_at(np, trajectory, np.asarray(first))[1])
     places, off = chords(trajectory.path, joint_reaches(robot))
-    keep = np.flatnonzero(places[1:] >= begin)
+    keep = np.flatnonzero(places[1:] >= min(begin, places[-1]))  # the last one, too, where rounding puts the end beyond it
     places, off = np.maximum(places[np.append(keep, keep[-1] + 1)], begin), off[keep]
     size, around = np.float32(size_of(scene)), jax.tree_util.tree_map(np.asarray, grouped(scene, alone))
 
@@ -199,6 +199,7 @@ def _asked(who: str, robot: Any, moving: Any, trajectory: Any, start_time: Any) 
     check_finite(who, start_time=float(numbers(f"{who}: start_time", start_time, ())))
     if np.ndim(trajectory.time) != 1:
         raise ValueError(f"{who}: a stack of shape {np.shape(trajectory.duration)}; take one of it")
+    check_joints(who, trajectory, robot.joint_names)
     trajectory = trajectory.in_numpy()
     if trajectory.reason != Reason.SOLVED:
         raise ValueError(f"{who}: the trajectory lasts {float(trajectory.duration)} s; {trajectory.why}")

@@ -168,6 +168,14 @@ class Trajectory(Result):
         return jax.tree_util.tree_map(lambda x: np.asarray(x, np.float64), self)
 
 
+def check_joints(who: str, trajectory: Trajectory, names: tuple[str, ...]) -> None:
+    """Raises `ValueError`, `who` asking, for a motion of other joints than those of these names, or in another order."""
+    count, own = trajectory.path.coefficients.shape[-1], trajectory.joint_names
+    if count != len(names) or (own and own != names):
+        of = f"joints {', '.join(own)}" if own else f"{count} joints"
+        raise ValueError(f"{who}: the motion is of {of}; allowed: {', '.join(names)}, in this order")
+
+
 def _check_one(who: str, array: Any) -> None:
     if np.ndim(array) != 1:
         raise ValueError(f"{who}: a stack of shape {np.shape(array)[:-1]}; take one of it, or jax.vmap this")

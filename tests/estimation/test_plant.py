@@ -92,7 +92,10 @@ def test_instruments():
         (lambda: play(ARM, MOTION, dt=0.0), "dt is 0.0"),
         (lambda: play(ARM, MOTION, current_noise=-1.0), "current_noise is -1.0; allowed: finite numbers of at least 0"),
         (lambda: PlayOptions(window=0), "window is 0; allowed: a count"),
-        (lambda: play(jaxik.load("crops_v2"), MOTION), "2 joints; crops_v2 has 9"),
+        (lambda: play(jaxik.load("crops_v2"), MOTION), "the motion is of .*; allowed: joint1, .* in this order"),
+        (lambda: PlayOptions(rest=0.5), r"rest has the shape \(\); allowed: \(2,\)"),
+        (lambda: play(ARM, []), "no motion; give a Trajectory"),
+        (lambda: play(ARM, [MOTION, "then"]), "motion is then; write a "),
     ],
 )
 def test_refusals(call, says):

@@ -1,5 +1,7 @@
 """Motions among what moves: proofs beside samples a millisecond apart, judged by coal, and with every braking of them."""
 
+import dataclasses
+
 import coal
 import jax
 import jax.numpy as jnp
@@ -104,6 +106,15 @@ def test_a_motion_is_safe_until_the_ball_comes(arm):
     assert (1.3 - reach - 3e-3) / 0.05 <= until <= (1.3 - reach) / 0.05
     away = Track.steady(jaxik.pose([1.3, 0.0, 0.0]), velocity=[1.0, 0.0, 0.0])
     assert safe_until(robot, MovingScene(BALL, {"ball": away}), stands, 0.0) == 1.0 + 60.0
+
+
+def test_a_motion_that_is_over_is_safe_where_it_stands(arm):
+    """Rounding put the end behind the path's last place, and the proof had nothing to look at."""
+    for a, b in np.random.default_rng(0).uniform(-1.5, 1.5, (60, 2, len(START))):
+        line = time_path(np.stack([a, b]), profile="trapezoidal", velocity=1.0, acceleration=4.0)
+        for late in (0.0, 1.0):
+            now = float(line.duration) + late
+            assert safe_until(arm[0], None, line, now) in (now, np.inf)
 
 
 def test_a_motion_that_keeps_hardly_more_than_its_margin_is_safe(arm):
@@ -250,6 +261,11 @@ def test_no_braking_is_later_than_the_delay_says(arm, jerk):
         (lambda r, m, t: trajectory_clearance(r, m, [t]), "trajectory"),
         (lambda r, m, t: trajectory_clearance(r, m, Trajectory.stacked([t, t])), "stack"),
         (lambda r, m, t: safe_until(r, m, t, np.inf), "now"),
+        (lambda r, m, t: safe_until(jaxik.load("panda"), m, t, 0.0), r"the motion is of \d joints.*; allowed: panda_joint1"),
+        (
+            lambda r, m, t: trajectory_clearance(r, m, dataclasses.replace(t, joint_names=r.joint_names[::-1])),
+            "the motion is of joints .*; allowed: .* in this order",
+        ),
         (lambda r, m, t: plan_motion(r, START, GOAL, scene=m, braking=1.0), "braking"),
         (lambda r, m, t: plan_motion(r, START, GOAL, scene=m, start_time=np.inf), "start_time"),
     ],
