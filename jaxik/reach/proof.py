@@ -13,11 +13,13 @@ import functools
 import itertools
 from typing import Any, ClassVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxik.analytic.families import Solver, solver_of
-from jaxik.checks.arrays import numbers
+from jaxik.analytic.solutions import closed_form
+from jaxik.checks.arrays import is_rigid, numbers
 from jaxik.checks.options import as_count
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.joint_turns import TURN
@@ -42,7 +44,8 @@ class ReachProof(Result):
     """The postures between the positions of a grid, or the proofs that there are none; one entry a pose.
 
     reason (N,) is SOLVED where a posture inside the limits was found, OUT_OF_REACH where none is inside them at any position of
-    the leading joints, which is a proof, NOT_CONVERGED where neither was found out, and INVALID for what is no finite pose.
+    the leading joints, which is a proof, NOT_CONVERGED where neither was found out, and INVALID for
+    what is no rigid frame.
     slide (N, k) [m, rad] are the leading joints' values of the posture and branch (N,) its number in `closed_form`; NaN and -1
     without one.
     """
@@ -59,18 +62,32 @@ def prove_reach(robot: Robot, poses: Any, *, slides: int = 41, refine: int = 5) 
     for each, or proves that they have none. Host driver.
 
     It is for poses that have no posture on the grid itself (`postures_over`): the cells between its positions are halved
-    `refine` times as long as interval arithmetic finds them possible, and their middles are tried. Limits count, collisions do
-    not. In float64. Raises `ValueError` for other shapes, and where the robot has no closed form.
+    `refine` times as long as interval arithmetic finds them possible, and their middles are tried. An arm without leading
+    joints has no grid: all its postures are looked at. Limits count, collisions do not. In float64. Raises `ValueError` for
+    other shapes, and where the robot has no closed form.
     """
     solver, slides, refine = solver_of(robot), as_count("slides", slides), as_count("refine", refine, least=0)
     poses, k = numbers("prove_reach: poses", poses, ("N", 4, 4)), len(solver.limits()[0])
     unless_found = Reason.OUT_OF_REACH if solver.proves else Reason.NOT_CONVERGED
-    reason = np.where(np.isfinite(poses).all(axis=(1, 2)), unless_found, Reason.INVALID)
+    valid = np.asarray(is_rigid(poses))
+    reason = np.where(valid, unless_found, Reason.INVALID)
     found = ReachProof(np.full((len(poses), k), np.nan), np.full(len(poses), -1), reason)
-    for start in range(0, len(poses), PORTION) if k else ():  # six joints have all their postures
+    poses = np.where(valid[:, None, None], poses, np.nan)
+    for start in range(0, len(poses), PORTION):
         part = slice(start, start + PORTION)
-        _search(robot, poses[part], slides, refine, found[part])
+        if k:
+            _search(robot, poses[part], slides, refine, found[part])
+        else:
+            _enumerate(robot, poses[part], found[part])
     return found
+
+
+def _enumerate(robot: Robot, poses: np.ndarray, found: ReachProof) -> None:
+    """Fills in what is found for a portion of targets of an arm whose closed form is given nothing."""
+    with jax.enable_x64(True):
+        inside = np.asarray(jax.vmap(lambda pose: closed_form(robot, pose).within_limits)(poses))
+    solved = inside.any(axis=1)
+    found.branch[solved], found.reason[solved] = inside[solved].argmax(axis=1), Reason.SOLVED
 
 
 def _search(robot: Robot, poses: np.ndarray, slides: int, refine: int, found: ReachProof) -> None:

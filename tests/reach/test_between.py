@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 from robots import pinocchio
@@ -82,3 +83,15 @@ def test_what_is_no_pose_is_invalid():
 def test_a_whole_turn_has_one_end(name):
     values = leading_grid(jaxik.load(name), 8)[:, 0]
     assert np.allclose(np.diff(values), np.pi / 4.0) and np.isclose(values[0] + 2.0 * np.pi - values[-1], np.pi / 4.0)
+
+
+def test_an_arm_without_leading_joints_is_enumerated():
+    """It has no grid to search between, and every pose was called out of reach."""
+    robot = jaxik.load("ur5e")
+    q = np.random.default_rng(3).uniform(-2.5, 2.5, (20, 6))
+    poses = np.stack([pinocchio(robot)(row) for row in q])
+    found = prove_reach(robot, np.concatenate([poses, [jaxik.pose([5.0, 0.0, 0.0]), np.zeros((4, 4)), 2.0 * np.eye(4)]]))
+    assert found.success[:20].all() and found.why[20:].tolist() == ["out of reach", "invalid", "invalid"]
+    with jax.enable_x64(True):
+        chosen = np.stack([jaxik.closed_form(robot, pose).q[b] for pose, b in zip(poses, found.branch, strict=False)])
+    assert max(np.abs(pinocchio(robot)(a) - pose).max() for a, pose in zip(chosen, poses, strict=True)) < 1e-9
