@@ -80,7 +80,7 @@ class Course(Pytree):
 
     def at(self, times: Any) -> Motion:
         """The state of the joints at times () or (i,) by the clock [s]: q, velocity and acceleration. Host."""
-        given = numbers("Course.at: times", times)
+        given = numbers("Course.at: times", times, finite=True)
         times = np.atleast_1d(given)
         which = np.searchsorted([run.begin for run in self.runs], times, side="right") - 1
         state = np.zeros((3, len(times), len(self.standing)))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import tempfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -127,7 +128,7 @@ def load_log(path: str | Path) -> Log:
         return Log(robot, decoded(head["q"]), decoded(head["scene"]), options, int(head["seed"]), records)
     except OSError as error:
         raise ValueError(f"load_log: {path}: {error.strerror}; give a file that Replanner(log=) has written") from None
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError, zlib.error) as error:
         raise ValueError(f"load_log: {path} is no log: {error}; give a file that Replanner(log=) has written") from None
 
 

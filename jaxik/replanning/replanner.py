@@ -108,10 +108,13 @@ class Replanner:
     def go(self, goal: Any) -> None:
         """Sets the goal, a configuration (n,) or a pose of the tip `base_T_tip` (4, 4) [m]; the next update plans, from
         where the robot comes to rest. The goal that it is on its way to changes nothing. Raises `ValueError` for other shapes,
-        NaN, and a configuration outside of the limits."""
+        NaN, a configuration outside of the limits, and a pose where the robot has several tips."""
         who, n = "Replanner.go: goal", self.robot.num_joints
         goal = numbers(who, goal, (n,), (4, 4), finite=True)
         if goal.ndim == 2:
+            if len(tips := self.robot.tip_names) > 1:
+                mend = "go to solve_ik(robot, poses).q of all"
+                raise ValueError(f"{who} is a pose, and {self.robot.name} has the tips {', '.join(tips)}; {mend}")
             if not is_rigid(goal):
                 raise ValueError(f"{who} is no rigid frame; allowed: a right-handed rotation, and 0 0 0 1 below")
         else:

@@ -206,8 +206,19 @@ def test_what_is_refused_leaves_the_motion_as_it_was(make, table):
         with pytest.raises(ValueError, match=words) as refused:
             call_()
         assert "\n" not in str(refused.value)
+    with pytest.raises(ValueError, match=r"Course.at: times holds nan"):
+        arm.at(np.nan)
     assert arm.update(1.1).course is course and arm.scene is not None
     with pytest.raises(ValueError, match=r"reserve is 1; allowed"):
         jaxik.Replanner(arm.robot, START, reserve=1)
     with pytest.raises(ValueError, match=r"Replanner: q: panda_joint1 is 9"):
         jaxik.Replanner(arm.robot, beyond)
+
+
+def test_a_pose_says_nothing_of_several_tips():
+    """It was taken, and the planner refused it at each update, before the robot was told to brake."""
+    pair = jaxik.load("p6r_pair")
+    arm = jaxik.Replanner(pair, np.zeros(pair.num_joints), acceleration=4.0)
+    with pytest.raises(ValueError, match=r"p6r_pair has the tips left_tip, right_tip; go to solve_ik\(robot, poses\).q"):
+        arm.go(jaxik.pose([0.5, 0.0, 1.0]))
+    assert arm.update(0.0).event == "arrived"
