@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import Array
+from jaxik.checks.arrays import Array, is_known
 from jaxik.checks.options import shown
 from jaxik.dynamics.recursions import GRAVITY, energy, gravity_torque
 from jaxik.kinematics.robot import Robot, as_configuration
@@ -56,15 +56,18 @@ def collision_cost(
     """`H_coll = H_max ((d_a - d) / d_a)^order` for `d < d_a`, else 0: `maximum` at d = 0, and more in depth. Traced.
 
     `clearance` d and `activation` d_a in metres. Order 3 is twice continuously differentiable in d [Schuetz 2017,
-    (4.31)]; order 1 is linear, as `J_dist` of Van Henten et al. 2010, (6), is outside of contact, with d_a = 0.075 m.
+    (4.31)]; order 1 is linear, as `J_dist` of Van Henten et al. 2010, (6), is outside of contact, with d_a = 0.075 m. Raises
+    `ValueError` for an activation that is known and not above 0.
     """
+    if is_known(activation) and not float(activation) > 0.0:
+        raise ValueError(f"collision_cost: activation {shown(activation)} m; write a length above 0")
     return maximum * (jnp.maximum(activation - jnp.asarray(clearance), 0.0) / activation) ** order
 
 
 def comfort_cost(robot: Robot, q: Float[Array, " n"], *, comfort: Float[Array, " n"] | None = None) -> Float[Array, ""]:
     """`H_cmf = 1/2 sum (q_i - q_cmf,i)^2 / (q_max,i - q_min,i)^2`, `comfort` is the middle of the range unless given. Traced.
 
-    A joint without limits has a range of 2 pi about 0. Source: Schuetz 2017, (4.25).
+    A joint without limits has a range of 2 pi, or 2 m, about 0. Source: Schuetz 2017, (4.25).
     """
     q = as_configuration(robot, q)
     lower, upper = _range(robot)
@@ -75,9 +78,12 @@ def comfort_cost(robot: Robot, q: Float[Array, " n"], *, comfort: Float[Array, "
 def joint_limit_cost(robot: Robot, q: Float[Array, " n"], *, soft: float = 0.1, order: int = 3) -> Float[Array, ""]:
     """`H_jla = sum ((q_i - q_soft,i) / (q_lim,i - q_soft,i))^order` beyond the soft limits: 0 there, 1 at the limits. Traced.
 
-    The soft limits lie inside the hard ones by the share `soft` of the range. Order 3 keeps accelerations continuous. Joints
-    without limits cost nothing. Source: Schuetz 2017, (4.27), (4.28).
+    The soft limits lie inside the hard ones by the share `soft` of the range, above 0 and at most a half. Order 3 keeps
+    accelerations continuous. Joints that lack a limit cost nothing. Raises `ValueError` for another share that is known.
+    Source: Schuetz 2017, (4.27), (4.28).
     """
+    if is_known(soft) and not 0.0 < float(soft) <= 0.5:
+        raise ValueError(f"joint_limit_cost: soft {shown(soft)}; allowed: above 0, to 0.5")
     q = as_configuration(robot, q)
     limited = robot.is_limited
     lower, upper = _range(robot)
@@ -101,7 +107,7 @@ def joint_limit_margin(robot: Robot, q: Float[Array, " n"]) -> Float[Array, ""]:
     """The least free joint's distance to its nearest limit, as a share of half its range: 1 in the middle, 0 at one. Traced.
 
     The "freedom in the rotations" that Van Henten et al. 2010, sec. 4.1 rank postures by, over the revolute joints; a joint
-    without limits is free.
+    that lacks a limit is free.
     """
     q = as_configuration(robot, q)
     counted = robot.is_limited & ~np.array(robot.is_prismatic)

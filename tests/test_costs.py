@@ -67,3 +67,14 @@ def test_freedom_and_sums():
     assert abs(costs.joint_limit_margin(robot, edge)) <= 1e-15
     total = costs.weighted_sum([(2.0, partial(costs.comfort_cost, robot)), (0.5, costs.damping_cost)])
     assert abs(total(edge) - 2.0 * costs.comfort_cost(robot, edge) - 0.5 * np.sum(edge**2)) <= 1e-12
+
+
+def test_a_band_of_no_width_is_refused():
+    """It was NaN."""
+    for soft in (0.0, 0.6, np.nan):
+        with pytest.raises(ValueError, match=r"soft .*; allowed: above 0, to 0.5"):
+            costs.joint_limit_cost(jaxik.load("planar2"), np.zeros(2), soft=soft)
+    with pytest.raises(ValueError, match=r"activation 0.0 m; write a length above 0"):
+        costs.collision_cost(0.1, activation=0.0)
+    with pytest.raises(ValueError, match=r"activation is 0.0; allowed: a finite number above 0 m"):
+        jaxik.IKOptions(activation=0.0)

@@ -214,8 +214,8 @@ def closed_form_obstacle(robot: Robot) -> str:
     check_kind("closed_form", "robot", robot, Robot)
     if not all(isinstance(x, np.ndarray) for x in (robot.parent_T_joint, robot.axis, robot.joint_T_tip)):
         return "its numbers are traced; closed_form reads them while tracing, so close over the robot"
-    if not robot.tree.serial or robot.tips != (robot.num_joints,):
-        return "it is no serial arm with its tip at the end; load one branch of it"
+    if not robot.tree.serial or robot.tip_joints:  # without these a serial arm's tip is at its end, and no list
+        return "it is no serial arm with one tip, at the end; choose one: robot.with_tips(name), or load one branch of it"
     return _found(robot)[1]
 
 
@@ -252,7 +252,7 @@ def any_solver_of(robot: Robot) -> Solver:
 
 @functools.lru_cache(maxsize=64)
 def _without_family(robot: Robot) -> Solver | None:
-    if not robot.tree.serial or robot.tips != (robot.num_joints,):
+    if not robot.tree.serial or robot.tip_joints:
         return None
     for first in range(robot.num_joints - 6, -1, -1):
         part = robot.part(first, first + 6)

@@ -65,7 +65,7 @@ class HarvestArguments(HARVEST, MOTIONS, ShapedRobotArguments):
     motions: bool = False
     """Plan the motions, too, that pick one fruit after another: `order`, `leaves`, `approach`, `candidates` and the rest."""
     home: tuple[float, ...] = ()
-    """The joints' values where the motions begin and end [rad, m]; 0 unless given."""
+    """The joints' values where the motions begin and end [rad, m]; 0 unless given, or the middle of a range that lacks it."""
     place: tuple[float, ...] = ()
     """Those where fruits are let go, of one place or of several, one after another; where a retreat ends unless given."""
     dt: float = 0.01

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from jaxik.checks.options import check_kind
 from jaxik.codegen.c_files import cmake_lists, example, test
 from jaxik.codegen.functions import Function
 from jaxik.codegen.header import LICENCE
 from jaxik.codegen.library import Exported, folder_at, write_library
 from jaxik.codegen.names import check_name, free_name
-from jaxik.codegen.robot_functions import robot_function
+from jaxik.codegen.robot_functions import FUNCTIONS, robot_function
 from jaxik.codegen.robot_header import robot_header
 from jaxik.codegen.targets import WORDS, target
 from jaxik.collision.scene import Scene
@@ -41,6 +42,9 @@ def export_robot(
 
     Raises `ValueError` for other functions and targets, and for a robot that lacks what a function needs.
     """
+    check_kind("export", "robot", robot, Robot)
+    if not functions:
+        raise ValueError(f"export: no function is named; choose of {', '.join(FUNCTIONS)}")
     for cloud in scene.clouds if scene is not None else ():
         if cloud.room > FOLDED:
             mend = "thin them, or export clearance_to_spheres, which takes them in the call"

@@ -87,7 +87,7 @@ ARGUMENTS: dict[str, Argument] = {
         lambda robot: (SPHERES, 4), "centres and radii [m] in the world; as many rows as there are spheres", _around, True
     ),
     "spheres_count": Argument(
-        lambda robot: (), f"how many spheres there are, 1 to {SPHERES}", lambda rng, robot: TOLD, True, np.int32
+        lambda robot: (), f"how many spheres there are, 0 to {SPHERES}", lambda rng, robot: TOLD, True, np.int32
     ),
 }
 _POSE = {"pose": "base_T_tip, homogeneous: rotation, translation [m], and 0 0 0 1"}

@@ -15,7 +15,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float
 
-from jaxik.checks.arrays import Array
+from jaxik.checks.arrays import Array, as_numbers
+from jaxik.checks.options import check_kind
 from jaxik.collision import bvh
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.distance import root
@@ -35,12 +36,15 @@ def clearance_to_spheres(
     configuration and spheres that change from call to call. Traced.
 
     `spheres` (m, 4) are centres and radii [m, world]; of these the first `count` are there, all unless it is told. NaN in them
-    or in `q` gives NaN. Raises `ValueError` for a robot without collision geometry.
+    or in `q` gives NaN. Raises `ValueError` for another shape, and for a robot without collision geometry.
     """
+    check_kind("clearance_to_spheres", "robot", robot, Robot)
     check_geometry(robot)
     q, around = as_configuration(robot, q), bvh.grouped(None, robot)
-    spheres = jnp.asarray(spheres, q.dtype)
-    return _clearance_to_spheres(robot, around, q, spheres, jnp.int32(len(spheres) if count is None else count))
+    spheres = as_numbers("clearance_to_spheres: spheres", spheres, ("m", 4)).astype(q.dtype)
+    most = len(spheres)
+    spheres = spheres if most else jnp.zeros((1, 4), q.dtype)  # one that is not there: lanes read a row
+    return _clearance_to_spheres(robot, around, q, spheres, jnp.int32(most if count is None else count))
 
 
 @kernel(models=1)

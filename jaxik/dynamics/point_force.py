@@ -54,7 +54,7 @@ def _material_point(robot: Robot, q: Any, joint: Any, point: Any) -> jax.Array:
 
 def point_jacobian(robot: Robot, q: Float[Array, " n"], joint: Any, point: Any) -> Float[jax.Array, "3 n"]:
     """Returns J_p (3, n) of `pdot = J_p qdot`, in base axes [m/rad, 1], for the material point now at `point` (3,) [m] in the
-    base frame, which moves with the first `joint` joints. Traced.
+    base frame, of what moves with joint number `joint`, counted from 1 (0: the base). Traced.
 
     `joint` may be traced. Raises `ValueError` for one that the robot does not have, and for other shapes. Source: Schuetz
     2017, (4.34).

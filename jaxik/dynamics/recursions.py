@@ -234,7 +234,7 @@ def forward_dynamics(
 
     The inverse of `inverse_dynamics`, with the same arguments and errors. M is factorised from the tips as L' D L, whose zeros
     between branches cost nothing; for six to nine joints that is less work than articulated bodies. A joint that turns nothing
-    (point masses on its axis, and no rotor) has infinite acceleration.
+    (point masses on its axis, and no rotor) is refused where that is known, and else has no finite acceleration.
     """
     q = as_configuration(robot, q)
     qs, dtype = traced(q), q.dtype
@@ -244,7 +244,12 @@ def forward_dynamics(
     bias = _torques(robot, joints, bodies, rates, rest, _base_gravity(robot, gravity, dtype), around)
     given = _rates("torque", robot, torque, dtype)
     left = [sub(t, b) for t, b in zip(given, bias, strict=True)]
-    return stack(_solved(_mass_matrix(robot, joints, bodies), left), (len(qs),), dtype)
+    rows = _mass_matrix(robot, joints, bodies)
+    for name, row in zip(robot.joint_names, rows, strict=True):
+        if isinstance(row[-1], float) and row[-1] == 0.0:
+            mend = "give its bodies an inertia, or the joint a rotor (armature)"
+            raise ValueError(f"forward_dynamics: joint '{name}' of {robot.name} turns nothing; {mend}")
+    return stack(_solved(rows, left), (len(qs),), dtype)
 
 
 def _solved(rows: list[list[Scalar]], right: list[Scalar]) -> list[Scalar]:

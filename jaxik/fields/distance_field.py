@@ -54,14 +54,15 @@ class DistanceField(Constant):
         for name in ("spacing", "node_error", "truncation"):
             if is_known(value := getattr(self, name)):
                 value = np.float64(numbers(f"{who}: {name}", value, ()))
-                if not value >= 0.0 or (value == 0.0 and name != "node_error"):
+                endless = value == math.inf and name != "truncation"
+                if not value >= 0.0 or endless or (value == 0.0 and name != "node_error"):
                     raise ValueError(f"{who}: {name} is {value:g} m; write a length above zero")
             vars(self)[name] = value
         vars(self)["world_T_grid"] = rigid_frame(f"{who}: world_T_grid", self.world_T_grid)
         if isinstance(self.values, np.ndarray):
             vars(self)["values"] = np.ascontiguousarray(self.values, np.float32)
-            if not np.isfinite(self.values).all():
-                raise ValueError(f"{who}: values hold NaN or infinity; write finite distances")
+        if is_known(self.values) and not np.isfinite(np.asarray(self.values)).all():
+            raise ValueError(f"{who}: values hold NaN or infinity; write finite distances")
         super().__post_init__()
 
     @property

@@ -45,11 +45,14 @@ def save(robot: Robot, path: str | Path, *, beyond: float = 0.005) -> float:
     (`load(.., srdf=)`). Its `convex_parts` and `pair_tables`, where links pass more closely than spheres tell, and the
     objects that it ignores are in the TOML alone.
 
-    Raises `ValueError` for another ending, for a file that cannot be written, for a URDF of a robot whose meshes were not read,
-    and where the `.srdf` would replace one that is not from here.
+    Raises `ValueError` for another ending, for a file that cannot be written, for a robot with room (`collision.with_room`),
+    which no file can name, for a URDF of a robot whose meshes were not read, `beyond` below 0.1 mm, and where the `.srdf` would
+    replace one that is not from here.
     """
     check_kind("save", "robot", robot, Robot)
     check_finite("save", 1e-4, beyond=beyond)
+    if any(np.any(np.asarray(volume.radius) < 0.0) for volume in robot.volumes):  # of what it does not hold
+        raise ValueError(f"save: {robot.name} has room for what it holds; save the robot that it was before with_room")
     path = Path(path)
     if path.suffix.lower() not in (".toml", ".urdf"):
         raise ValueError(f"save: {path}: ending '{path.suffix}'; allowed: .toml, .urdf")

@@ -197,7 +197,8 @@ def _from_points(path: Path, labels: list[str], points: np.ndarray) -> Scene:
 
 def save_scene(scene: Scene, path: str | Path, *, description: str = "-") -> None:
     """Writes a scene as `.toml`, which `load_scene` gives back to the last bit, objects first, marks and clouds after them,
-    without what was taken away (`Scene.without`); the points of clouds beside it, as `NAME_cloud_1.npy`. Host.
+    without objects that were taken away (`Scene.without`) and without room (`Scene.with_room`); the points of clouds beside
+    it, as `NAME_cloud_1.npy`. Host.
 
     Raises `ValueError` for another ending, for a file that cannot be written, and for obstacles that belong to no object
     (`Scene.geometry`), which a file cannot name.

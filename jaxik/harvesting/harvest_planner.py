@@ -55,9 +55,9 @@ def plan_harvest(
     Reasons: SOLVED; what `harvest` says of a fruit without a posture; COLLISION, LIMITS of all approaches, or retreats, from
     all postures; those of `plan_motion` for a transfer or transport; COLLISION with the other arm, a "meeting", where no order
     was found that keeps them apart; `where` says which. Raises `ValueError` for arguments of a wrong shape, name or range, no
-    fruit, a home or a place that is not free, arms that share a joint, and without PyVRP (extra `harvest`) for the shortest
-    order. Sources: Suarez-Ruiz et al., RoboTSP, 2018; Wouda et al., PyVRP, 2024; O'Donnell, Lozano-Perez, Deadlock-free and
-    collision-free coordination of two robot manipulators, 1989.
+    fruit, a home or a place that is not free, arms that share a joint, and, of more than ten fruits, without PyVRP (extra
+    `harvest`) for the shortest order. Sources: Suarez-Ruiz et al., RoboTSP, 2018; Wouda et al., PyVRP, 2024; O'Donnell,
+    Lozano-Perez, Deadlock-free and collision-free coordination of two robot manipulators, 1989.
     """
     check_kind("plan_harvest", "harvest", harvest, HarvestResult)
     options = HarvestPlanOptions.chosen(options, changes)

@@ -300,7 +300,7 @@ def posed(robot: Robot, logs: Motion | Sequence[Motion], terms: tuple[Term, ...]
     q, qdot, qddot, torque = joined(robot, logs)
     rotor = np.zeros_like(torque) if "armature" in terms else qddot * np.asarray(robot.armature)
     rubs = {"coulomb", "breakaway", "load"} & set(terms)
-    counts = np.abs(qdot) > slowest if rubs else np.ones_like(qdot, bool)
+    counts = np.abs(qdot) >= slowest if rubs else np.ones_like(qdot, bool)
     for name, moves in zip(robot.joint_names, counts.T, strict=True):
         if not moves.any():
             mend = "log a motion of every joint, or ask for no friction"

@@ -74,7 +74,7 @@ class IKOptions(field.Options, who="solve_ik"):
         " the links, times `penalty`. Either way an answer keeps `margin`. With False nothing is looked at, not even the robot"
         " itself",
     )
-    activation: float = field.number(default=0.05, least=0.0, unit="m", words="the clearance at which the penalty begins")
+    activation: float = field.number(default=0.05, above=0.0, unit="m", words="how far beyond `margin` the penalty begins")
     penalty: float = field.number(default=100.0, least=0.0, words="the weight of the penalty")
     cost: Cost | None = field.anything(
         default=None,

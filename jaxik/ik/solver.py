@@ -28,9 +28,9 @@ class Solver:
         result = solver(pose, result.q)  # the next answer on the way: searched for from a posture
         solver.update(other_scene)
 
-    It takes what `solve_ik` takes beside targets and progress, and gives the same results, to the last bit; what is checked,
-    chosen and compiled for a robot and its options is so once. Quick is a pose (4, 4), an array, of which the first answer will
-    do; all else is a call of `solve_ik` each time. Threads may share it. Raises `ValueError` as `solve_ik` does.
+    It takes what `solve_ik` takes beside targets and progress, but one scene, and gives the same results, to the last bit; what
+    is checked, chosen and compiled for a robot and its options is so once. Quick is a pose (4, 4), an array, of which the first
+    answer will do; all else is a call of `solve_ik` each time. Threads may share it. Raises `ValueError` as `solve_ik` does.
     """
 
     def __init__(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.checks.arrays import check_known, numbers
-from jaxik.checks.options import no_such, shown
+from jaxik.checks.options import check_kind, no_such, shown
 from jaxik.kinematics.named import Group
 from jaxik.kinematics.robot import Body, Robot, known_parts, link_geometry, moving
 from jaxik.kinematics.shapes import ConvexPart, Surface, Volume
@@ -27,7 +27,10 @@ def hold_joints(robot: Robot, held: Mapping[str, float]) -> Robot:
     Bounds of pairs of links by tables are left out where the joints between are others now. Raises `ValueError` for names that
     are no joints, where none is left, and for traced numbers.
     """
+    check_kind("hold_joints", "robot", robot, Robot)
     check_known("hold_joints", robot=robot)
+    if not isinstance(held, Mapping):
+        raise ValueError(f"hold_joints: held is {shown(held)}; write {{'joint': value}}")
     for name, value in held.items():
         if name not in robot.joint_names:
             raise ValueError(no_such(f"hold_joints: {robot.name}", "joint", str(name), robot.joint_names))

@@ -211,7 +211,7 @@ class Robot(Value, Constant):
 
     def with_tips(self, tips: str | Sequence[str]) -> Robot:
         """The same robot, and the same q, with other tips: the link of a name, or the links of a list, whose poses are then
-        (k, 4, 4). So every function of a tip is one of any link.
+        (k, 4, 4). So every function of a tip is one of any link. The name of a tip that it has is that tip, with its tool.
 
         Raises `ValueError` for a name that is none of `link_names` or `tip_names`.
         """
@@ -339,6 +339,7 @@ class Robot(Value, Constant):
         robot does not have, and for a robot that is no serial arm.
         """
         need_serial("part", self)
+        self.only_tip("part")
         whole = all(isinstance(i, int | np.integer) and not isinstance(i, bool) for i in (first, last))
         if not (whole and 0 <= first <= last <= self.num_joints):
             raise ValueError(
@@ -356,6 +357,7 @@ class Robot(Value, Constant):
             link_names=tuple(self.link_names[i] for i in kept),
             link_joint=tuple(self.link_joint[i] - first for i in kept),
             joint_T_tip=self.joint_T_tip if last == self.num_joints else np.eye(4),
+            tip_names=self.tip_names if last == self.num_joints else (),
             link_offset=self.link_offset[np.array(kept, int)],
             boxes=own(self.boxes),
             volumes=own(self.volumes),

@@ -26,7 +26,7 @@ from jaxik.costs import RunningCost
 from jaxik.kinematics.robot import Robot
 from jaxik.motions.following import Course, FollowResult, Progress, diagnose, samples
 from jaxik.motions.path import Path, check_path
-from jaxik.motions.predictive import PredictOptions, future, objective, problem
+from jaxik.motions.predictive import PredictOptions, future, handed, objective, problem
 from jaxik.optimise import descent, ocp
 
 
@@ -148,7 +148,7 @@ class PredictiveController:
     def _advance(
         self, state: PredictiveState, path: Path, duration: Any, given: tuple[Any, ...]
     ) -> tuple[PredictiveState, PredictiveCommand]:
-        how, options = self.options, self.options.descend
+        how, options, given = self.options, self.options.descend, handed("controller", self.cost, given)
         ahead = future(path, duration, how, state.time)
         goal = objective(self.robot, self.cost, how, state.q, ahead, given, state.u)
         plan = descent.init(goal, state.w, options, measured=False)._replace(

@@ -195,7 +195,8 @@ class TaskAt:
     def acceleration(self, qdot: Any, gain: Any) -> Any:
         """`wddot + K' werrdot + K werr - Jdot qdot` (m,), of a pair K [1/s2], K' [1/s], or a `gain` [1/s], its square and its
         double."""
-        gains = gain if isinstance(gain, tuple) else (gain**2, 2.0 * gain)
+        gain = as_numbers("gain", gain, (), (2,))
+        gains = gain if gain.ndim else (gain**2, 2.0 * gain)
         qdot = as_numbers("qdot", qdot, self.q.shape).astype(self.dtype)
         bias = self._components("bias", bias_acceleration(self.robot, self.q, qdot))
         slow = self._components("velocity", self.motion.velocity) - self.rows @ qdot

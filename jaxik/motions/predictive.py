@@ -240,7 +240,7 @@ def predict(
     Raises `ValueError` for a q, guess or weights of another shape, an object that is no path, a duration that is not positive,
     and other names in `each`.
     """
-    how, more = PredictOptions.chosen(options, changes), _handed(cost, given)
+    how, more = PredictOptions.chosen(options, changes), handed("predict", cost, () if given is None else (given,))
     starts = as_count("predict: starts", starts)
     check_finite("predict", 0.0, spread=spread)
     check_seed("predict", seed)
@@ -259,15 +259,14 @@ def predict(
     return jax.tree_util.tree_map(lambda x: np.asarray(x)[best], found)
 
 
-def _handed(cost: RunningCost, given: Any) -> tuple[Any, ...]:
+def handed(who: str, cost: RunningCost, more: tuple[Any, ...]) -> tuple[Any, ...]:
     """The last arguments of the cost, one or none. Raises a `ValueError` of one line for a cost that does not take them."""
-    more = () if given is None else (given,)
     try:
         inspect.signature(cost).bind(*[None] * 4, *more)
     except TypeError:
         takes = "(q, qdot, input, t, given)" if more else "(q, qdot, input, t)"
         mend = "of q alone it is jaxik.costs.quadratic_cost(position=...)"
-        raise ValueError(f"predict: the cost is a function of {takes}; {mend}") from None
+        raise ValueError(f"{who}: the cost is a function of {takes}; {mend}") from None
     except ValueError:
         pass  # a function without a signature: it may take them
     return more

@@ -195,6 +195,8 @@ def build_roadmap(
     check_kind(who, "scene", scene, Scene, optional=True)
     check_seed(who, seed)
     options = RoadmapOptions.chosen(options, changes)
+    if scene is None and np.size(options.movable):
+        raise ValueError(f"{who}: movable={shown(options.movable)} without a scene; give the scene that has them")
     check_geometry(robot)
     robot = jax.tree_util.tree_map(np.asarray, robot)
     space = CollisionChecker(robot, scene, options.margin)

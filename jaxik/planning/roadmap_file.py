@@ -102,7 +102,7 @@ def _read(path: Path) -> dict[str, Any]:
                 numbers(name, content[name])
         if content["edges"].min(initial=0) < 0 or content["edges"].max(initial=0) >= len(content["nodes"]):
             raise ValueError("edges between nodes that are not there")
-    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
         problem = " ".join(str(error).split())
         raise LoadError(path, "roadmap", f"is damaged or none ({problem})", "save it anew by save_roadmap") from None
     return content

@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.analytic.solutions import BRANCHES, closed_forms
-from jaxik.checks.arrays import Array, as_numbers, numbers
-from jaxik.checks.options import as_count, check_finite, check_kind
+from jaxik.checks.arrays import Array, as_numbers, is_known, numbers
+from jaxik.checks.options import as_count, check_finite, check_kind, shown
 from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.clearances import check_geometry, clearance
 from jaxik.collision.scene import Scene
@@ -78,15 +78,16 @@ def reach_score(
     collision: bool = True,
 ) -> Float[Array, ""]:
     """Scores in (0, 1) how well a target is reached by any of k postures `q` (k, n), at its alternative poses `world_T_tip`;
-    above 1/2 where one of them is clear, inside the limits and there. Traced.
+    above 1/2 about where one of them is clear, inside the limits and there. Traced.
 
         score = sigmoid(T log sum_k exp(worth_k / T) / 0.2),   worth_k = -T log sum_i exp(-margin_ki / T) - short_k / 30 mm
 
     with margins of clearance (1 at 75 mm) and of each joint to its limits (1 in the middle), and what the tip falls short by.
 
     Pure: differentiate it in `poses`, in `robot.world_T_base` (`robot.mounted(frame)`), in any number of the robot
-    (`dataclasses.replace`) and in the scene. `margin` [m] is the least clearance, `temperature` T how much is smoothed (0 to
-    1). Without a scene the robot keeps clear of itself; with `collision=False` no clearance counts.
+    (`dataclasses.replace`) and in the scene. `margin` [m] is the least clearance. `temperature` T, above 0, to 1, is how much
+    is smoothed: k postures of m margins count for as much as `T log k` more than the best, and `T log m` less than the least.
+    Without a scene the robot keeps clear of itself; with `collision=False` no clearance counts.
     """
     score = log_reach_score(robot, scene, poses, q, margin=margin, temperature=temperature, collision=collision)
     return jnp.exp(score)
@@ -113,6 +114,8 @@ def log_reach_score(
         )
     as_numbers("margin", margin, ())
     as_numbers("temperature", temperature, ())
+    if is_known(temperature) and not float(temperature) > 0.0:
+        raise ValueError(f"reach_score: temperature {shown(temperature)}; allowed: above 0, to 1")
     around = grouped(scene, robot) if looked else None
     each = jax.vmap(lambda pose, posture: _worth(robot, around, pose, posture, margin, temperature))
     best = temperature * jax.nn.logsumexp(each(poses, q) / temperature)

@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.checks.arrays import numbers
+from jaxik.checks.arrays import as_numbers, numbers
 from jaxik.spatial.algebra import Rot3, Vec3, add, atan2, mul, safe_sqrt, sincos, sub, traced
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -101,13 +101,15 @@ def about(axis: np.ndarray, angle: float) -> np.ndarray:
 
 
 def rotation_log(rotation: Any) -> Any:
-    """The rotation vector (3,) of a rotation (3, 3) [rad]. Traced."""
+    """The rotation vector (3,) of a rotation (3, 3) [rad]. Traced. Raises `ValueError` for another shape."""
+    rotation = as_numbers("rotation_log: rotation", rotation, (3, 3))
     return jnp.stack([jnp.asarray(x) for x in rotation_vector(Rot3.of(traced(rotation)))])
 
 
 def rotation_exp(vector: Any) -> Any:
-    """The rotation (3, 3) of a rotation vector (3,) [rad] (Rodrigues), with all derivatives at 0. Traced."""
-    x, y, z = vector
+    """The rotation (3, 3) of a rotation vector (3,) [rad] (Rodrigues), with all derivatives at 0. Traced. Raises `ValueError`
+    for another shape."""
+    x, y, z = as_numbers("rotation_exp: vector", vector, (3,))
     cross = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) * z
     cross += jnp.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]) * y
     cross += jnp.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]) * x

@@ -76,7 +76,8 @@ class Device(Protocol):
 
 
 class Watchdog:
-    """A device that always answers: with what it said last, and for how long it has said nothing since. Host.
+    """A device that always answers: with what it said last, and how long ago that was: the age that it told then, and what has
+    gone by since. Host.
 
     `clock` gives the time [s]. Before the first answer the age is infinite.
     """
@@ -93,7 +94,7 @@ class Watchdog:
         now = self.clock()
         if told is not None:
             self._last, self._heard = told, now
-        return self._last._replace(age=now - self._heard)
+        return self._last._replace(age=self._last.age + now - self._heard)
 
     def render(self, force: np.ndarray) -> None:
         with contextlib.suppress(OSError):  # the next answer grows older

@@ -123,6 +123,17 @@ def test_robots_outside_the_families_are_refused_with_the_reason(name, words):
         jaxik.closed_form(robot, jnp.eye(4))
 
 
+@pytest.mark.parametrize("name", ["ur5e", "p6r"])
+def test_a_list_of_one_tip_is_told(name):
+    robot = jaxik.load(name)
+    listed = robot.with_tips([robot.tip_names[0] if robot.tip_names else robot.link_names[-1]])
+    assert "one tip, at the end; choose one: robot.with_tips(name)" in jaxik.analytic.redundancy(listed).why
+    with pytest.raises(ValueError, match=r"choose one: robot.with_tips\(name\)"):
+        jaxik.closed_form(listed, jnp.eye(4))
+    with pytest.raises(ValueError, match=r"part: .* has a list of tips"):
+        listed.part(0, 3)
+
+
 @pytest.mark.parametrize("name, given", [("ur5e", r"\(0,\): nothing"), ("panda_lift", r"\(2,\): lift, panda_joint7")])
 def test_what_is_given_in_another_shape_is_refused_by_its_names(name, given):
     robot = jaxik.load(name)

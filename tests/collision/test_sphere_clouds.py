@@ -39,3 +39,14 @@ def test_a_robot_without_shape_is_refused():
     bare = robot.__class__(**{**{f: getattr(robot, f) for f in robot.__dataclass_fields__}, "volumes": ()})
     with pytest.raises(ValueError, match="collision geometry"):
         clearance_to_spheres(bare, np.ones((1, 4)), np.zeros(7))
+
+
+@pytest.mark.usefixtures("untyped")
+def test_without_spheres_it_is_the_distance_to_itself():
+    robot, q = jaxik.load("p6r"), np.array([0.3, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1])
+    found = clearance_to_spheres(robot, np.zeros((0, 4)), q)
+    np.testing.assert_allclose(found, clearance(robot, None, q), rtol=0, atol=1e-6)
+    with pytest.raises(ValueError, match=r"spheres has the shape \(1, 3\); allowed: \(m, 4\)"):  # no radius
+        clearance_to_spheres(robot, [[0.7, 0.0, 1.5]], q)
+    with pytest.raises(ValueError, match=r"robot is p6r; write a jaxik.Robot"):
+        clearance_to_spheres("p6r", np.zeros((1, 4)), q)

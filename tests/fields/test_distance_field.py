@@ -205,6 +205,8 @@ PLAIN = DistanceField([[[0.0, 1.0], [0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]], np.e
         (lambda: DistanceField(np.zeros((1, 2, 2)), np.eye(4), 0.1), "2 nodes an axis"),
         (lambda: DistanceField(np.zeros((2, 2, 2)), np.eye(4), 0.0), "above zero"),
         (lambda: DistanceField(np.full((2, 2, 2), np.nan), np.eye(4), 0.1), "finite"),
+        (lambda: DistanceField(jnp.full((2, 2, 2), jnp.nan), np.eye(4), 0.1), "finite"),
+        (lambda: DistanceField(np.zeros((2, 2, 2)), np.eye(4), np.inf), "spacing is inf m"),
         (lambda: DistanceField(np.zeros((2, 2, 2)), 2.0 * np.eye(4), 0.1), "no rigid frame"),
         (lambda: mesh_field(MESH, HIGH, LOW, spacing=0.1), "high above low"),
         (lambda: mesh_field(MESH, LOW, HIGH, spacing=1e-4), "wider spacing"),

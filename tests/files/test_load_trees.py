@@ -130,6 +130,14 @@ def test_joints_that_are_held_later(two):
             call()
 
 
+@pytest.mark.usefixtures("untyped")
+def test_what_holds_no_joints_is_told():
+    robot = jaxik.load("p6r")
+    for given, words in (((robot, ["slide"]), "held is .*; write {'joint': value}"), (("p6r", {}), "robot is p6r; write a ")):
+        with pytest.raises(ValueError, match=words):
+            kinematics.hold_joints(*given)
+
+
 @pytest.mark.parametrize("base", ["planar", "floating"])
 def test_a_base_that_moves(two, base):
     robot = jaxik.load(two, tip=HANDS, base=base, held={})

@@ -133,6 +133,11 @@ def test_a_cover_reaches_as_far_as_is_told(count):
         assert gaps.max() <= 1e-9
 
 
+def test_room_for_what_is_held_is_in_no_file(tmp_path):
+    with pytest.raises(ValueError, match="p6r has room for what it holds; save the robot that it was before with_room"):
+        jaxik.save(jaxik.collision.with_room(jaxik.load("p6r"), spheres=2), tmp_path / "robot.toml")
+
+
 def test_bad_files_are_one_line(tmp_path):
     robot = jaxik.load("planar2")
     jaxik.save(robot, tmp_path / "robot.toml")

@@ -19,6 +19,7 @@ import jaxik
 from jaxik.costs import energy_cost, quadratic_cost
 from jaxik.dynamics.recursions import inverse_dynamics, mass_matrix
 from jaxik.kinematics.robot import Body
+from jaxik.motions import PredictiveController
 from jaxik.motions.nullspace import Box, resolve
 from jaxik.motions.path import Arc, Curve, Line, Path, TipMotion
 from jaxik.motions.predictive import PredictOptions, future, objective, predict, problem
@@ -426,6 +427,15 @@ def test_the_tip_is_held_unless_told_otherwise(dt, most, pendulum):
 
 
 def test_mistakes_are_one_line(pendulum, line):
+    control = PredictiveController(pendulum, lambda q: jnp.sum(q**2), dt=0.04, count=10, task=IN_PLANE)
+    with pytest.raises(ValueError, match=r"controller: the cost is a function of \(q, qdot, input, t\)"):
+        control.step(control.init(START), line, 4.0)
+    with pytest.raises(ValueError, match=r"gain has the shape \(3,\)"):
+        resolve(pendulum, START, line.at(0.5, 1.0), qdot=START, gain=[1.0, 2.0, 3.0], task=IN_PLANE)
+    pair = (
+        resolve(pendulum, START, line.at(0.5, 1.0), qdot=START, gain=g, task=IN_PLANE).rate for g in ((9.0, 6.0), [9.0, 6.0])
+    )
+    np.testing.assert_array_equal(*pair)
     with pytest.raises(ValueError, match="u and a cost; give one of them"):
         resolve(pendulum, START, line.at(0.5, 1.0), u=START, cost=jnp.sum)
     with pytest.raises(ValueError, match=r"gain 60.0; allowed: .*0 <= gain dt < 2"):

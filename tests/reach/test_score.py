@@ -94,3 +94,8 @@ def test_what_is_no_pose_is_left_out_or_refused():
     for bad in (poses[1:2], poses[:0], poses[0]):
         with pytest.raises(ValueError, match=r"no finite frame|poses has the shape"):
             jaxik.reach.likely_postures(ROBOT, AROUND, bad)
+
+
+def test_without_smoothing_there_is_no_score():
+    with pytest.raises(ValueError, match=r"temperature 0.0; allowed: above 0, to 1"):
+        jaxik.reach.reach_score(ROBOT, AROUND, POSES[:1], np.zeros((1, 7)), temperature=0.0)

@@ -54,6 +54,14 @@ def test_poses_in_words():
     assert many.shape == (5, 4, 4, 4) and np.allclose(many[..., 3, :], [0, 0, 0, 1])
 
 
+def test_what_is_no_rotation_is_refused():
+    for wrong in (np.eye(4), np.stack([np.eye(3)] * 2)):
+        with pytest.raises(ValueError, match=r"rotation_log: rotation has the shape .*; allowed: \(3, 3\)"):
+            jaxik.spatial.rotation_log(wrong)
+    with pytest.raises(ValueError, match=r"rotation_exp: vector has the shape \(3, 3\); allowed: \(3,\)"):
+        jaxik.spatial.rotation_exp(np.eye(3))
+
+
 @pytest.mark.parametrize(
     ("told", "words"),
     [

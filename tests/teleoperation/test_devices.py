@@ -58,4 +58,8 @@ def test_a_watch_tells_how_long_nothing_was_said():
     late = watch.read()
     assert late.age == pytest.approx(0.4) and (late.position == 1.0).all()
     assert watch.read().age == 0.0
+    slow = Watchdog(RecordedHand([hand._replace(age=0.3), None]), clock=lambda: now[0])  # over a network, say
+    assert slow.read().age == pytest.approx(0.3)
+    now[0] = 5.5
+    assert slow.read().age == pytest.approx(0.4)
     watch.render(np.zeros(3))
