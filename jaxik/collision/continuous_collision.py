@@ -133,7 +133,9 @@ def motion_bound(
 
 
 def joint_reaches(robot: Robot) -> np.ndarray:
-    """How far a unit of each joint moves a point of the shapes' skeletons at most, inside the limits (n,) [m/rad, 1]. Host."""
+    """How far a unit of each joint moves a point of the shapes' skeletons at most, inside the limits (n,) [m/rad, 1]. Host.
+
+    Raises `ValueError` where a slide without limits carries what a joint before it turns: no number bounds that."""
     return _joint_reaches(jax.tree_util.tree_map(np.asarray, robot) if held_by(robot) else robot)
 
 
@@ -143,8 +145,15 @@ def _joint_reaches(robot: Robot) -> np.ndarray:
     travel = [max(map(abs, each)) if slides else 0.0 for each, slides in zip(ends, robot.tree.slides, strict=True)]
     ways = {link: robot.tree.way(robot.link_joint[link]) for link in solid_links(robot)}
     turned = lambda one: [abs(rate) for rate in row_rates(robot, list(one))]
-    speeds = lambda one: [_bounds(robot, link, way, turned(one), travel).speed for link, way in ways.items()]
-    return np.array([float(np.max(speeds(one))) for one in np.eye(robot.num_joints)])
+    speeds = lambda one, travel: [_bounds(robot, link, way, turned(one), travel).speed for link, way in ways.items()]
+    reach = lambda travel: np.array([float(np.max(speeds(one, travel))) for one in np.eye(robot.num_joints)])
+    found, open_ = reach(travel), np.array(robot.tree.slides) & ~robot.is_limited[list(robot.tree.joints)]
+    further = [2.0 * far if free else far for far, free in zip(travel, open_.tolist(), strict=True)]
+    if open_.any() and not np.array_equal(reach(further), found):
+        names = ", ".join(np.array(robot.row_names)[open_])
+        mend = "give it limits: dataclasses.replace(robot, lower=..., upper=...)"
+        raise ValueError(f"{robot.name}: {names} slides without limits, and a joint before it turns what it carries; {mend}")
+    return found
 
 
 @kernel(models=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -15,12 +16,13 @@ from jaxik.harvesting.arms import Arm
 from jaxik.harvesting.driver import HarvestResult
 from jaxik.harvesting.harvest_plan import HarvestPlan, HarvestPlanOptions, Stage
 from jaxik.harvesting.picks import Picks, Way, ends, find_picks, rows_of
+from jaxik.kinematics.joint_turns import endless, whole_turns
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker, judged, touched
 from jaxik.planning.limits import motion_limits
 from jaxik.planning.motion_ends import postures
 from jaxik.planning.planner import PlanOptions
-from jaxik.planning.trajectory import Trajectory
+from jaxik.planning.trajectory import Trajectory, turned
 from jaxik.reach.grasp import without
 from jaxik.reasons import Reason
 
@@ -52,6 +54,19 @@ class Tour(NamedTuple):
 
 
 NONE = Tour()
+
+
+def _wound(robot: Robot, parts: Sequence[Part]) -> list[Part]:
+    """The parts, each of which begins where the one before ends, by the turns of joints without limits, too."""
+    if not endless(robot).any():
+        return [*parts]
+    found: list[Part] = []
+    for part in parts:
+        if found:
+            turn = whole_turns(endless(robot), ends(found[-1].trajectory)[1] - ends(part.trajectory)[0])
+            part = part._replace(trajectory=dataclasses.replace(part.trajectory, path=turned(part.trajectory.path, turn)))
+        found.append(part)
+    return found
 
 
 class ArmPlanner:
@@ -165,7 +180,7 @@ class ArmPlanner:
     def whole(self, tour: Tour = NONE) -> list[Part]:
         """All parts, those of a tour after what it has driven, and the way home."""
         homeward = tour.homeward or self.homeward
-        return [*self.driven, *tour.parts, *([] if homeward is None else [homeward])]
+        return _wound(self.robot, [*self.driven, *tour.parts, *([] if homeward is None else [homeward])])
 
     def stages(self) -> list[Stage]:
         """All stages one after another, with the leaves that they touch."""

@@ -16,6 +16,7 @@ import numpy as np
 from jaxik.collision.continuous_collision import joint_reaches
 from jaxik.collision.moving import MovingScene
 from jaxik.collision.scene import Scene
+from jaxik.kinematics.joint_turns import TURN
 from jaxik.kinematics.robot import Robot
 from jaxik.planning.braking import usual_brake
 from jaxik.planning.collision_checker import CollisionChecker
@@ -188,14 +189,14 @@ def detours(traffic: Traffic, start: np.ndarray, goal: np.ndarray, planned: Plan
     drawn = drawn[np.argsort(far, kind="stable")[:TAKEN]]
     if not len(drawn):
         return
-    count = len(drawn)
-    ways = planned(
-        standing, np.concatenate([np.tile(start, (count, 1)), drawn]), np.concatenate([drawn, np.tile(goal, (count, 1))])
-    )
-    for i in range(count):
-        if ways.success[i] and ways.success[count + i]:
-            out, back = ways.trajectory[i].path, ways.trajectory[count + i].path
-            waypoints = np.concatenate([ways.waypoints[i], ways.waypoints[count + i][1:]])
+    there = planned(standing, np.tile(start, (len(drawn), 1)), drawn)
+    # the second leg begins on the turn that the first takes
+    ends = np.stack([posture if way is None else way[-1] for posture, way in zip(drawn, there.waypoints, strict=True)])
+    onward = planned(standing, ends, np.tile(goal, (len(drawn), 1)))
+    for i in range(len(drawn)):
+        if there.success[i] and onward.success[i]:
+            out, back = there.trajectory[i].path, onward.trajectory[i].path
+            waypoints = np.concatenate([there.waypoints[i], onward.waypoints[i][1:]])
             yield joined_paths(out, back), (float(np.sum(out.lengths)),), waypoints
 
 
@@ -211,7 +212,7 @@ def among_what_moves(
     trajectories, ways, reasons = list(found.trajectory), list(found.waypoints), np.array(found.reason)
     words: list[str | None] = [None] * len(reasons)
     where, places = list(found.where), list(found.planned_in)
-    stuck, lengths = np.array(found.stuck, float), np.array(found.length)
+    stuck, lengths, turns = np.array(found.stuck, float), np.array(found.length), np.array(found.turns)
     for i, moving in enumerate(scenes):
         if not found.success[i]:
             continue
@@ -227,6 +228,7 @@ def among_what_moves(
                 for path, via, waypoints in detours(here, way[0], way[-1], planned, lasts, seed):
                     motion = here.motion(path, via)
                     if motion is not None:
+                        turns[i] += np.round((waypoints[-1] - way[-1]) / TURN).astype(int)
                         ways[i], steps = waypoints, np.diff(waypoints, axis=0) * here.weights
                         lengths[i] = np.linalg.norm(steps, axis=1).sum()
                         break
@@ -240,6 +242,7 @@ def among_what_moves(
         trajectory=tuple(trajectories),
         waypoints=tuple(ways),
         length=lengths,
+        turns=turns,
         stuck=stuck,
         planned_in=tuple(places),
         meets=tuple(words),

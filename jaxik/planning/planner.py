@@ -128,6 +128,8 @@ def _in_time(
     one = isinstance(scene, MovingScene)
     scenes = [scene] * len(asked.starts) if isinstance(scene, MovingScene) else [standing_of(each) for each in scene]
     most = motion_limits("plan_motion", robot, options.velocity, options.acceleration, shape)
+    if options.braking and not np.isfinite(most.velocity).all():
+        raise ValueError(f"plan_motion: braking={options.braking:g} without limits of velocity; give velocity=, or braking=0")
     jerk = None if options.jerk is None else limit_of("plan_motion", "jerk", options.jerk, shape)
     kept = Limits(most.velocity, share * most.acceleration), None if jerk is None else share * jerk
     options = options.changed({"acceleration": kept[0].acceleration, "jerk": kept[1]})

@@ -6,13 +6,13 @@ and it comes back the same way.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxik.collision.scene import Scene
+from jaxik.kinematics.joint_turns import endless, whole_turns
 from jaxik.planning.planner import plan_motion
 from jaxik.planning.tool_follow import Followed
 from jaxik.planning.tool_line import ToolLine
@@ -26,10 +26,11 @@ STRIDE = 0.005  # [m] of a lift
 
 
 class Joined(NamedTuple):
-    """The whole as one path of joints; which of its pieces (k,) are on the tool's path; and where each part begins on it, and
-    at which s of the tool's path (p,)."""
+    """The whole as one path of joints, and its parts on the tool's path; which of its pieces (k,) these are; where each part
+    begins on it, and at which s of the tool's path (p,)."""
 
     path: JointPath
+    parts: tuple[Proven, ...]
     tool: np.ndarray
     begins: np.ndarray
     since: np.ndarray
@@ -42,21 +43,31 @@ class Joined(NamedTuple):
 def joined(
     follow: Followed, line: ToolLine, parts: Sequence[Proven], scene: Scene | None, options: PathOptions, seed: int
 ) -> Joined | Arc:
-    """The parts with the motions between them, or where there is none."""
+    """The parts with the motions between them, or where there is none. A motion may come to a part by another turn of a joint
+    without limits: then this part, and those behind it, are so many turns on."""
     pieces, tool, begins, length = [parts[0].path], [np.ones(len(parts[0].path.lengths), bool)], [0.0], 0.0
-    for before, after in itertools.pairwise(parts):
+    placed = [parts[0]]
+    how = {name: getattr(options, name) for name in ("margin", "velocity", "acceleration")}
+    for after in parts[1:]:
+        before = placed[-1]
         away, back = (
             _lifted(follow, before.q[-1], line, before.s[-1], options.lift),
             _lifted(follow, after.q[0], line, after.s[0], options.lift),
         )
-        moved = plan_motion(follow.robot, away[-1], back[-1], scene=scene, seed=seed, margin=options.margin)
-        if not moved:
+        if follow.space is None:  # nothing is looked at, and a line between postures inside the limits stays inside
+            way = np.stack([away[-1], back[-1]])
+        elif moved := plan_motion(follow.robot, away[-1], back[-1], scene=scene, seed=seed, **how):
+            way = moved.waypoints
+        else:
             first, last = line.span(before.s[-1], after.s[0])
             words = (
                 f"the tool would have to lift off and come back in another posture, and no motion there was found: {moved.why}"
             )
             return Arc(first, last, float(before.s[-1]), float(after.s[0]), Reason.SINGULAR, words)
-        between = straight(np.concatenate([away, moved.waypoints[1:-1], back[::-1]]))
+        turn = whole_turns(endless(follow.robot), way[-1] - back[-1])
+        between = straight(np.concatenate([away, way[1:-1], back[::-1] + turn]))
+        after = after.turned(turn) if np.any(turn) else after
+        placed.append(after)
         pieces += [between, after.path]
         tool += [np.zeros(len(between.lengths), bool), np.ones(len(after.path.lengths), bool)]
     for on, off in zip(pieces[:-1:2], pieces[1::2], strict=True):
@@ -64,7 +75,8 @@ def joined(
         begins.append(length)
     lengths = np.concatenate([np.asarray(piece.lengths) for piece in pieces])
     curves = np.concatenate([np.asarray(piece.coefficients) for piece in pieces])
-    return Joined(JointPath(lengths, curves), np.concatenate(tool), np.array(begins), np.array([part.s[0] for part in parts]))
+    since = np.array([part.s[0] for part in parts])
+    return Joined(JointPath(lengths, curves), tuple(placed), np.concatenate(tool), np.array(begins), since)
 
 
 def _lifted(follow: Followed, q: np.ndarray, line: ToolLine, s: float, lift: float) -> np.ndarray:

@@ -26,7 +26,7 @@ from jaxik.planning.kept_bounds import off_task
 from jaxik.planning.tip_bounds import TipBounds
 from jaxik.planning.tool_follow import Followed
 from jaxik.planning.tool_line import ToolLine
-from jaxik.planning.trajectory import JointPath
+from jaxik.planning.trajectory import JointPath, turned
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
@@ -52,6 +52,10 @@ class Proven(NamedTuple):
         curve = np.zeros((1, 4, q.shape[1]))
         curve[0, 3] = q[0]
         return Proven(JointPath(np.zeros(1), curve), s, q, np.zeros((1, 2)), np.zeros(1, bool))
+
+    def turned(self, turn: np.ndarray) -> Proven:
+        """The same with joints that are whole turns (n,) [rad] further."""
+        return self._replace(path=turned(self.path, turn), q=self.q + turn)
 
 
 def proven(follow: Followed, line: ToolLine, s: np.ndarray, q: np.ndarray, tolerance: np.ndarray) -> Proven:

@@ -67,7 +67,7 @@ def solve(asked: Asked, tell: Callable[[int, int], Any] = lambda done, total: No
     if isinstance(whole, Arc):
         return nothing(robot, given, whole.reason, (whole,))
     tell(3, 4)
-    found = _timed(asked, parts, whole)
+    found = _timed(asked, whole.parts, whole)
     tell(4, 4)
     return found
 

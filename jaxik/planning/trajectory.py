@@ -168,6 +168,13 @@ class Trajectory(Result):
         return jax.tree_util.tree_map(lambda x: np.asarray(x, np.float64), self)
 
 
+def turned(path: JointPath, turn: np.ndarray) -> JointPath:
+    """The path with joints that are whole turns `turn` (n,) [rad] further: everything is where it was."""
+    curves = np.array(path.coefficients, float)
+    curves[..., -1, :] += turn
+    return JointPath(path.lengths, curves)
+
+
 def check_joints(who: str, trajectory: Trajectory, names: tuple[str, ...]) -> None:
     """Raises `ValueError`, `who` asking, for a motion of other joints than those of these names, or in another order."""
     count, own = trajectory.path.coefficients.shape[-1], trajectory.joint_names

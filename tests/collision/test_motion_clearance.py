@@ -12,7 +12,7 @@ from motions import dense, judged, motions
 import jaxik
 from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import as_wide
-from jaxik.collision.continuous_collision import motion_collides, size_of
+from jaxik.collision.continuous_collision import joint_reaches, motion_collides, size_of
 
 WRONG = (  # what a judgement counts that must not be
     "free, but the dense sampling hits",
@@ -201,3 +201,20 @@ def test_bad_use_is_one_line(change, said, monkeypatch):
     with pytest.raises(ValueError) as told:
         jaxik.motion_clearance(**given)
     assert said in str(told.value) and "\n" not in str(told.value)
+
+
+def test_a_slide_without_limits_behind_a_turn_has_no_bound(tmp_path):
+    """How far a turn moves what such a slide carries is bounded by nothing; a metre was taken for it, and proofs were false."""
+    reach = '<geom type="sphere" size="0.05"/>'
+    turn, slide = '<joint name="turn" axis="0 0 1" range="-90 90"/>', '<joint name="slide" type="slide" axis="1 0 0"{}/>'
+    body = f'<body name="a">{turn}{reach}<body name="b" pos="0.3 0 0">{slide}{reach}</body></body>'
+    for ends, allowed in ((' range="0 50"', True), ("", False)):
+        path = tmp_path / "arm.xml"
+        path.write_text(f"<mujoco><worldbody>{body.format(ends)}</worldbody></mujoco>")
+        robot = jaxik.load(path)
+        if allowed:
+            assert joint_reaches(robot)[0] > 50.0
+            continue
+        with pytest.raises(ValueError, match="slide slides without limits, and a joint before it turns what it carries"):
+            jaxik.plan_motion(robot, np.zeros(2), np.array([1.0, 40.0]), velocity=1.0, acceleration=2.0)
+        assert jaxik.motion_clearance(robot, None, np.zeros(2), np.array([1.0, 40.0])).free  # which looks at the values

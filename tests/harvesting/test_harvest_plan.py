@@ -1,6 +1,7 @@
 """A harvest in motion: free by distances of its own, within the limits, in the shortest order; what cannot be picked."""
 
 import csv
+import dataclasses
 import itertools
 import json
 
@@ -13,7 +14,9 @@ import jaxik
 from jaxik.cli.harvest import write_harvest
 from jaxik.collision import SceneBuilder
 from jaxik.harvesting import tour
+from jaxik.harvesting.arm_planner import Part, _wound
 from jaxik.harvesting.picks import carrying
+from jaxik.planning import time_path
 from jaxik.reach.grasp import Grasp
 from jaxik.view import Page, plot_harvest, plot_harvest_plan
 
@@ -214,3 +217,14 @@ def test_the_page_moves_the_fruit_with_the_gripper(plan, harvested):
     player.pause()
     assert player.button.label == "Play"
     page.close()
+
+
+def test_stages_of_joints_without_limits_go_on_from_the_turn_that_they_came_to():
+    endless = {"lower": np.full(2, -np.inf), "upper": np.full(2, np.inf), "joint_types": ("continuous",) * 2}
+    robot = dataclasses.replace(jaxik.load("planar2"), **endless)
+    lines = [[[3.0, 0.1], [3.4, 0.1]], [[3.4 - 2.0 * np.pi, 0.1], [-2.0, 0.3]], [[-2.0 + 2.0 * np.pi, 0.3], [4.4, 0.3]]]
+    parts = [Part("transfer", "", time_path(line, velocity=1.0, acceleration=2.0), None, frozenset()) for line in lines]
+    found = _wound(robot, parts)
+    for before, after in itertools.pairwise(found):
+        np.testing.assert_allclose(before.trajectory.sample(0.01).q[-1], after.trajectory.sample(0.01).q[0], atol=1e-12)
+    assert _wound(jaxik.load("planar2"), parts) == parts

@@ -267,6 +267,10 @@ def test_no_braking_is_later_than_the_delay_says(arm, jerk):
             "the motion is of joints .*; allowed: .* in this order",
         ),
         (lambda r, m, t: plan_motion(r, START, GOAL, scene=m, braking=1.0), "braking"),
+        (
+            lambda r, m, t: plan_motion(r, START, GOAL, scene=m, velocity=np.inf, acceleration=2.0),
+            r"braking=0.3 without limits of velocity; give velocity=, or braking=0",
+        ),
         (lambda r, m, t: plan_motion(r, START, GOAL, scene=m, start_time=np.inf), "start_time"),
     ],
 )
@@ -274,3 +278,16 @@ def test_what_is_wrong_is_said_in_one_line(arm, call, words):
     with pytest.raises(ValueError, match=words) as told:
         call(arm[0], _crossing(np.random.default_rng(0)), _line())
     assert "\n" not in str(told.value)
+
+
+def test_a_detour_tells_by_which_turn_it_came():
+    """A ball stays in the short way; the long one ends a turn before the goal as it was given."""
+    endless = {"lower": np.full(2, -np.inf), "upper": np.full(2, np.inf), "joint_types": ("continuous",) * 2}
+    two = dataclasses.replace(jaxik.load("planar2"), **endless)
+    ball = jaxik.make_scene().with_("ball", spheres=[[0.0, 0.0, 0.0, 0.12]])
+    moving = MovingScene(ball, {"ball": Track.steady(jaxik.pose([1.4, 0.0, 0.0]), bound=0.001)})
+    goal = np.array([1.5, -0.5])
+    found = plan_motion(two, [-1.6, 0.5], goal, scene=moving, velocity=1.0, acceleration=2.0)
+    assert found and found.turns.tolist() == [-1, 0]
+    np.testing.assert_allclose(found.waypoints[-1], goal + 2.0 * np.pi * found.turns, atol=1e-12)
+    assert np.abs(np.diff(found.trajectory.sample(0.01).q, axis=0)).max() < 0.02

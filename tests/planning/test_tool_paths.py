@@ -1,5 +1,8 @@
 """Motions along a tool's path: against Pinocchio, Dijkstra by SciPy, and what cannot be."""
 
+import dataclasses
+import types
+
 import numpy as np
 import pytest
 from robots import pose_errors
@@ -9,9 +12,14 @@ from scipy.sparse.csgraph import dijkstra
 import jaxik
 from jaxik.kinematics.tasks import BASE_END
 from jaxik.planning import tool_choice
+from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.tip_bounds import TipBounds
 from jaxik.planning.tool_choice import Steps, chosen
+from jaxik.planning.tool_lift import joined
 from jaxik.planning.tool_line import ToolLine
+from jaxik.planning.tool_options import PathOptions
+from jaxik.planning.tool_proof import Proven
+from jaxik.planning.trajectory import path_at
 from jaxik.reasons import Reason
 
 HOME = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8])
@@ -219,3 +227,24 @@ def test_bounds_of_the_tips_acceleration_hold(panda):
         places = pinocchio_poses(panda, [q + s * rate + 0.5 * s * s * bend for s in (-h, 0.0, h)])[:, :3, 3]
         place, *_ = bounds.second(np.abs(rate)[None], np.abs(bend)[None]).T
         assert np.linalg.norm(places[0] - 2.0 * places[1] + places[2]) / h**2 <= place[0] + 1e-3
+
+
+def test_a_lift_that_turns_the_other_way_goes_on_from_there():
+    """The planner goes around by the shorter way; a line back to the turn as it was given would be another, which is not
+    proven, and led through the ball."""
+    endless = {"lower": np.full(2, -np.inf), "upper": np.full(2, np.inf), "joint_types": ("continuous",) * 2}
+    arm = dataclasses.replace(jaxik.load("planar2"), **endless)
+    scene = jaxik.make_scene(spheres=[[1.4, 0.0, 0.0, 0.05]])
+    follow = types.SimpleNamespace(robot=arm, space=CollisionChecker(arm, scene, 0.0))
+    ends = [np.array([[3.0, 0.1]]), np.array([[-3.0, 0.1]]), np.array([[-2.5, 0.1]])]
+    parts = [Proven.still(np.array([float(k)]), q) for k, q in enumerate(ends)]
+    line, options = types.SimpleNamespace(at=lambda s: np.eye(4)[None]), PathOptions(lift=0.0, velocity=1.0, acceleration=2.0)
+    whole = joined(follow, line, parts, scene, options, 0)
+    q = path_at(np, whole.path, np.linspace(0.0, float(np.sum(whole.path.lengths)), 500))[0]
+    turns = 2.0 * np.pi * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0]])
+    np.testing.assert_allclose([part.q[0] for part in whole.parts], np.concatenate(ends) + turns, atol=1e-12)
+    np.testing.assert_allclose(q[-1], whole.parts[-1].q[0], atol=1e-12)
+    assert np.abs(np.diff(q, axis=0)).max() < 0.01
+    assert min(float(jaxik.clearance(arm, scene, each)) for each in q[::10]) > 0.0
+    blind = joined(types.SimpleNamespace(robot=arm, space=None), line, parts, None, options, 0)  # of no geometry
+    np.testing.assert_array_equal([part.q[0] for part in blind.parts], np.concatenate(ends))
