@@ -94,7 +94,8 @@ def write_bases(found: BasePoses, out: Path) -> None:
     """A table of the bases (.csv), or all arrays (.npz, no pickle)."""
     if out.suffix.lower() == ".npz":
         arrays = {"base": found.bases, "seen": found.seen, "reasons": texts(found.reasons), "proven": found.proven}
-        np.savez(out, allow_pickle=False, **arrays)
+        with out.open("wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
         return
     columns = dict(zip(("x [m]", "y [m]", "heading [rad]"), found.bases.T, strict=True))
     write_csv(out, columns | {"targets": found.count, "reason": texts(found.reason), "empty": found.empty})

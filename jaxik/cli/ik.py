@@ -161,7 +161,8 @@ def write_ik(robot: jaxik.Robot, result: jaxik.ik.IKResult, out: Path, table: di
         columns = {"reason": texts(result.reason), **{name: getattr(result, name) for name in names}}
         if result.tasks:
             columns |= {"tip": _tip(result), "tip_names": np.array(result.tasks)}
-        np.savez(out, allow_pickle=False, joint_names=np.array(robot.joint_names), q=result.q, **columns)
+        with out.open("wb") as file:  # to a name NumPy would add another ending
+            np.savez(file, allow_pickle=False, joint_names=np.array(robot.joint_names), q=result.q, **columns)
     elif out.suffix.lower() == ".parquet":
         import pyarrow.parquet
 

@@ -72,7 +72,8 @@ class ViewArguments(AroundArguments, ShapedRobotArguments):
         picked = jaxik.harvest(robot, scene) if harvest and scene is not None else None
         plan = plan_harvest(picked) if self.motions and picked is not None else None
         read = self.meshes and not robot.surfaces  # which are what is to be seen
-        meshes = link_meshes(self.robot, **{name: how[name] for name in ("tip", "base", "posture", "packages")}) if read else ()
+        drawn = {name: how[name] for name in ("tip", "base", "posture", "held", "srdf", "packages")}
+        meshes = link_meshes(self.robot, **drawn) if read else ()
         own |= {name: getattr(self, name) for name in ("store", "teleop")}
         return Page(robot, scene=scene, harvest=picked, plan=plan, meshes=meshes, **own)
 

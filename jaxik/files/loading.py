@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -162,7 +163,7 @@ def load(
     if read.saved is not None:
         names = robot.link_names
         kept = tuple(pair for pair in read.saved if frozenset(names[i] for i in pair) not in pairs.apart)
-        return dataclasses.replace(robot, self_pairs=kept)
+        return dataclasses.replace(robot, self_pairs=_with_asked(robot, kept, pairs))
     if shapes and asked.fit is not None:
         model = modelled(robot, shapes, asked.fit, pairs, stance.behind)
         _tell(robot, "meshes", model.at_home, model.colliding)
@@ -173,7 +174,18 @@ def load(
     found = self_collisions(robot, pairs.apart, stance.behind)
     if asked.meshes:
         _tell(robot, "boxes", dict.fromkeys(found.at_home), found.share)
-    return dataclasses.replace(robot, self_pairs=found.pairs)
+    return dataclasses.replace(robot, self_pairs=_with_asked(robot, found.pairs, pairs))
+
+
+def _with_asked(robot: Robot, found: Iterable[tuple[int, int]], asked: Any) -> tuple[tuple[int, int], ...]:
+    """The pairs of links that were found, and those that are `asked` for in any case, of links that move apart."""
+    names, joints = robot.link_names, robot.link_joint
+    wanted = lambda pair: (
+        frozenset(names[i] for i in pair) not in asked.apart
+        and (asked.all or frozenset(names[i] for i in pair) in asked.checked)
+    )
+    apart = [(a, b) for a, b in itertools.combinations(solid_links(robot), 2) if joints[a] != joints[b]]
+    return tuple(dict.fromkeys([*found, *filter(wanted, apart)]))
 
 
 @dataclasses.dataclass

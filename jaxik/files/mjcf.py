@@ -310,9 +310,20 @@ def _effort(model: Any, joint: int) -> float:
     together = 0.0
     for i in range(model.nu):
         if model.actuator_trntype[i] in kinds and model.actuator_trnid[i, 0] == joint:
-            limited, gear = model.actuator_forcelimited[i], abs(float(model.actuator_gear[i, 0]))
-            together += gear * least(model.actuator_forcerange[i]) if limited else np.inf
+            force = least(model.actuator_forcerange[i]) if model.actuator_forcelimited[i] else np.inf
+            if model.actuator_ctrllimited[i] and _is_motor(model, i):
+                force = min(force, abs(float(model.actuator_gainprm[i, 0])) * least(model.actuator_ctrlrange[i]))
+            together += abs(float(model.actuator_gear[i, 0])) * force
     return min(own, together or np.inf)
+
+
+def _is_motor(model: Any, actuator: int) -> bool:
+    """Whether an actuator's force is its control, times a constant."""
+    import mujoco
+
+    plain = mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_NONE
+    kinds = model.actuator_dyntype[actuator], model.actuator_gaintype[actuator], model.actuator_biastype[actuator]
+    return all(int(kind) == int(one) for kind, one in zip(kinds, plain, strict=True))
 
 
 def _label(model: Any, joint: int) -> str:

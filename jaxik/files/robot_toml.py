@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -225,7 +226,8 @@ def toml(head: dict[str, Any], tables: Iterable[tuple[str, dict[str, Any]]]) -> 
 def _lines(table: dict[str, Any], inside: str = "") -> str:
     """A line a key; of a table in the table, its name before each."""
     line = lambda key, value: _lines(value, f"{key}.") if isinstance(value, dict) else f"{key} = {_written(value)}"
-    return "\n".join(line(inside + key, value) for key, value in table.items())
+    quoted = lambda key: key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _written(key)
+    return "\n".join(line(inside + quoted(key), value) for key, value in table.items())
 
 
 def _written(value: Any) -> str:

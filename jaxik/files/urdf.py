@@ -165,8 +165,9 @@ def _joint(path: Path, element: Element, child: str, notes: Notes, beside: bool 
     limit = element.find("limit")
     if limit is None and kind != "continuous" and not beside:
         raise LoadError(path, where, f"a {kind} joint without <limit>", "add it, or make the joint continuous")
-    if limit is not None and not (beside and kind == "continuous"):
+    if limit is not None and kind != "continuous":
         joint.lower, joint.upper = (number(path, where, limit, k, "0") for k in ("lower", "upper"))
+    if limit is not None and not (beside and kind == "continuous"):
         joint.velocity, joint.effort = (number(path, where, limit, k, "0") or np.inf for k in ("velocity", "effort"))
     if not beside:
         _note_limits(joint, limit, kind, notes)

@@ -108,15 +108,18 @@ def _stretched(table: Table, robot: Robot, joint: str, what: str, value: float) 
     else:
         new["xyz".index(what)] = value
     frames = np.array(robot.parent_T_joint, np.float64)
-    frames[number : number + 1] = before  # none where it is the tip's
-    tip = before if joint == "tip" else robot.joint_T_tip
+    tip, row = robot.joint_T_tip, robot.tips[0]
+    if joint == "tip":
+        tip = before
+    else:
+        frames[number], row = before, robot.tree.parents[number] + 1
     changed = dataclasses.replace(robot, parent_T_joint=frames, joint_T_tip=tip)
-    carried = {link for link, j in enumerate(robot.link_joint) if j == number}
+    carried = {link for link, j in enumerate(robot.link_joint) if j == row}
     return _with_geometry(changed, carried, old, new) if what == "length" else changed
 
 
 def _with_geometry(robot: Robot, links: set[int], old: np.ndarray, new: np.ndarray) -> Robot:
-    """Boxes and swept volumes of a lengthened link, stretched along it by as much."""
+    """Boxes, swept volumes and triangles of a lengthened link, stretched along it by as much."""
     along = old / np.linalg.norm(old)
     more = np.linalg.norm(new) / np.linalg.norm(old) - 1.0
 
@@ -130,4 +133,5 @@ def _with_geometry(robot: Robot, links: set[int], old: np.ndarray, new: np.ndarr
 
     boxes = [box_stretched(box) if box.link in links else box for box in robot.boxes]
     volumes = [dataclasses.replace(v, corners=stretched(v.corners)) if v.link in links else v for v in robot.volumes]
-    return dataclasses.replace(robot, boxes=tuple(boxes), volumes=tuple(volumes))
+    surfaces = [dataclasses.replace(s, corners=stretched(s.corners)) if s.link in links else s for s in robot.surfaces]
+    return dataclasses.replace(robot, boxes=tuple(boxes), volumes=tuple(volumes), surfaces=tuple(surfaces))

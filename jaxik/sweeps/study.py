@@ -152,7 +152,8 @@ class Study(PostureOptions, who="study"):
 
 
 def _digest(scene: Scene) -> str:
-    content = hashlib.sha256()
+    names = scene.object_names, scene.owners, [mark.name for mark in scene.marks]  # links may ignore objects by these
+    content = hashlib.sha256(repr(names).encode())
     for leaf in jax.tree_util.tree_leaves(scene):
         content.update(np.ascontiguousarray(np.asarray(leaf, np.float64)).tobytes())
     return content.hexdigest()[:16]

@@ -376,7 +376,7 @@ def test_ik_writes_the_answers_of_any_file(tmp_path, monkeypatch, capsys):
     poses[3] = poses[3] + np.pad([[7.0]], ((0, 3), (3, 0)))  # seven metres away
     tables = []
     for ending in (".csv", ".npz", ".json"):
-        out = tmp_path / f"answers{ending}.npz"
+        out = tmp_path / f"answers{ending}.{'NPZ' if ending == '.json' else 'npz'}"  # by any letters
         call_unsolved(monkeypatch, "ik", "chembuly9", targets_file(tmp_path / f"targets{ending}", poses), "--out", out)
         lines = capsys.readouterr().out.splitlines()
         assert lines[0] == "out of reach: 1" and lines[1].startswith("4 of 5 targets solved in ")

@@ -14,10 +14,11 @@ MJCF = """<mujoco><worldbody><body><joint name="turn" axis="0 0 1"/><geom size="
 <body pos="0.3 0 0"><joint name="both" axis="0 1 0" actuatorfrcrange="-9 9"/><geom size="0.1"/>
 <body pos="0.3 0 0"><joint name="two" axis="0 1 0"/><geom size="0.1"/>
 <body pos="0.3 0 0"><joint name="one" axis="0 1 0"/><geom size="0.1"/>
-<body pos="0.3 0 0"><joint name="none" axis="0 1 0"/><geom size="0.1"/></body></body></body></body></body></body></worldbody>
+<body pos="0.3 0 0"><joint name="told" axis="0 1 0"/><geom size="0.1"/></body></body></body></body></body></body></worldbody>
 <actuator><motor joint="turn" gear="20" forcerange="-2 2"/><motor joint="slide"/><motor joint="both" forcerange="-5 5"/>
 <position joint="two" kp="50" forcerange="-4 3" gear="-2"/><motor jointinparent="two" forcerange="-5 5"/>
-<motor joint="one" forcerange="-5 5"/><motor joint="one"/></actuator></mujoco>"""
+<motor joint="one" forcerange="-5 5"/><motor joint="one"/>
+<motor joint="told" gear="3" ctrlrange="-2 4"/></actuator></mujoco>"""
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -38,8 +39,8 @@ def test_as_mujoco_gives_it(tmp_path):
         mujoco.mj_forward(model, data)
         given.append(np.abs(data.qfrc_actuator))
     least = np.min(given, axis=0)
-    assert least[4] > 1e8 and least[5] == 0.0  # one of its two motors has no limit; it has none
-    np.testing.assert_allclose(robot.effort, [*least[:4], np.inf, np.inf])
+    assert least[4] > 1e8 and least[5] == 6.0  # one of its two motors has no limit; its motor's control has one
+    np.testing.assert_allclose(robot.effort, [*least[:4], np.inf, 6.0])
 
 
 def test_it_is_kept(tmp_path):

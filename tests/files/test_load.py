@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from robot_files import ARM, URDF, refused, write
+from robot_files import ARM, URDF, refused, tree_of_balls, write
 from robots import FOLDER, ROBOTS
 from scipy.spatial.transform import Rotation
 
@@ -889,3 +889,26 @@ def test_a_mesh_that_is_no_surface_is_refused_in_one_line(tmp_path, corner, last
     with pytest.raises(LoadError, match=why) as told:
         load_mesh(file)
     assert "\n" not in str(told.value)
+
+
+def test_pairs_are_checked_in_any_case_without_a_fit_too(tmp_path):
+    """They were read, and forgotten."""
+    joints = [("j1", "revolute", "base", "a", "0.3 0 0", "0 0 1", ""), ("j2", "revolute", "a", "b", "0.3 0 0", "0 0 1", "")]
+    path = write(tmp_path, "balls.urdf", tree_of_balls("balls", ["base", "a", "b"], joints, 0.05, 0.1))
+    names = lambda robot: {frozenset(robot.link_names[i] for i in pair) for pair in robot.self_pairs}
+    asked, every = frozenset(("base", "a")), {frozenset(pair) for pair in itertools.combinations(("base", "a", "b"), 2)}
+    plain = jaxik.load(path, meshes=True)
+    jaxik.save(plain, tmp_path / "balls.toml")
+    for file, more in ((path, {}), (path, {"fit": None}), (tmp_path / "balls.toml", {})):
+        found = lambda pairs, file=file, more=more: names(jaxik.load(file, meshes=True, pairs=pairs, **more))
+        assert found([("base", "a")]) == names(plain) | {asked} > names(plain)
+        assert found("all") == every
+
+
+def test_a_continuous_joint_is_held_anywhere(tmp_path):
+    """URDF files give it a <limit>, of velocity and effort alone, whose ends are none."""
+    limit = '<limit velocity="2" effort="3"/></joint>\n</robot>'
+    path = write(tmp_path, "arm.urdf", URDF.replace("</joint>\n</robot>", limit))
+    robot = jaxik.load(path, held={"wrist": 5.0})
+    assert robot.joint_names == ("shoulder",)
+    assert jaxik.load(path).velocity.tolist() == [2.0, 2.0] and np.isinf(jaxik.load(path).upper[1])

@@ -184,3 +184,16 @@ def test_a_mirrored_mesh_is_a_mesh(tmp_path):
     hull = ConvexHull(mesh.vertices * (1.0, -1.0, 1.0))
     deepest = max(float((hull.equations[:, :3] @ c + hull.equations[:, 3]).max()) for v in robot.volumes for c in v.corners)
     assert len(robot.volumes) and deepest < 0.02  # the capsules' axes lie in the mirrored hull
+
+
+def test_a_mirrored_mesh_is_not_inside_out(tmp_path):
+    trimesh.creation.box((0.1, 0.2, 0.3)).export(tmp_path / "box.stl")
+    shape = '<collision><geometry><mesh filename="box.stl" scale="{}"/></geometry></collision>'
+    for scale in ("1 1 1", "1 -1 1", "-1 -1 -1"):
+        path = write(
+            tmp_path, "arm.urdf", URDF.replace('<link name="tool"/>', f'<link name="tool">{shape.format(scale)}</link>')
+        )
+        (surface,) = jaxik.load(path, meshes=True, exact=True).surfaces
+        first, second, third = np.moveaxis(surface.corners, 1, 0)
+        volume = np.sum(first * np.cross(second, third)) / 6.0
+        assert volume == pytest.approx(0.006, rel=1e-6)

@@ -3,12 +3,14 @@
 import dataclasses
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from robot_files import write
 from robots import FOLDER, ROBOTS
 
 import jaxik
 from jaxik.files.robot_files import _covering
+from jaxik.kinematics.named import Group, State
 from jaxik.kinematics.shapes import Volume
 
 SHIPPED = ("p6r", "crops_v2", "chembuly9", "pendulum4", "planar2")
@@ -183,3 +185,21 @@ def test_bad_ignores_are_one_line(entries, words):
         jaxik.load("planar2", ignore=entries)
     assert words.split(";")[0] in str(caught.value) and words.split("; ")[-1] in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_urdf_has_the_numbers_that_its_readers_want(tmp_path):
+    """Pinocchio's reader refuses a limit without a velocity; a slide without ends would come back locked."""
+    robot = dataclasses.replace(jaxik.load("p6r"), velocity=np.full(7, np.inf))
+    jaxik.save(robot, tmp_path / "robot.urdf")
+    assert pin.buildModelFromUrdf(str(tmp_path / "robot.urdf")).nq == 7
+    moving = jaxik.load(tmp_path / "robot.urdf", tip="tool", base="planar")
+    with pytest.raises(ValueError, match="save: 'base_x' has no limits, which a URDF wants"):
+        jaxik.save(moving, tmp_path / "moving.urdf")
+
+
+def test_states_of_joints_with_other_signs_are_read_again(tmp_path):
+    robot = jaxik.load("planar2")
+    named = dataclasses.replace(robot, joint_names=("arm/j1", "j.2"), groups=(Group("arm", ("arm/j1", "j.2")),))
+    named = dataclasses.replace(named, states=(State("home", "arm", (("arm/j1", 0.1), ("j.2", 0.2))),))
+    jaxik.save(named, tmp_path / "robot.toml")
+    assert jaxik.load(tmp_path / "robot.toml").state("home").tolist() == [0.1, 0.2]

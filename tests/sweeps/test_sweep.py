@@ -24,8 +24,10 @@ from scipy.spatial.transform import Rotation
 import jaxik
 from jaxik import Reason
 from jaxik.files.documents import models_folder
+from jaxik.kinematics.shapes import Surface
 from jaxik.sweeps.driver import _on_worker, _piece
 from jaxik.sweeps.store import StoreError
+from jaxik.sweeps.study import _digest
 from jaxik.sweeps.targets import directions
 
 GRID = {
@@ -710,3 +712,41 @@ def test_a_cluster_makes_the_same_store_though_a_worker_dies(two, tmp_path):
             process.wait()
     with pytest.raises(ValueError, match="no scheduler answers"):
         jaxik.sweep(TWO, tmp_path / "d.zarr", cluster="tcp://127.0.0.1:9")
+
+
+def test_a_lengthened_link_takes_its_triangles_along():
+    """They stayed where they were, and what lay beyond them was not seen."""
+    robot = jaxik.load("planar2")
+    link = robot.link_joint.index(1)
+    corners = np.array([[[0.0, 0.0, -0.02], [1.0, 0.0, -0.02], [1.0, 0.0, 0.02]]])
+    skin = Surface(link, corners, np.zeros(1), np.zeros(1, bool), np.zeros(1, int))
+    asked = SMALL | {"robot": dataclasses.replace(robot, surfaces=(skin,)), "parameters": {"q2.length": [1.0, 1.5]}}
+    asked["targets"] = {"kind": "voxels", "size": 0.5}
+    short, long = (v.robot for v in jaxik.sweeps.Study.of(asked).variants)
+    np.testing.assert_array_equal(short.surfaces[0].corners, corners)
+    np.testing.assert_allclose(long.surfaces[0].corners, corners * [1.5, 1.0, 1.0])
+    np.testing.assert_allclose(long.volumes[0].corners, robot.volumes[0].corners * [1.5, 1.0, 1.0])
+
+
+def test_a_tip_moves_no_joint_that_follows(tmp_path):
+    file = tmp_path / "follows.urdf"
+    links = "".join(f'<link name="l{i}"/>' for i in range(4))
+    limit, mimic = '<limit lower="-1" upper="1" velocity="1" effort="1"/>', '<mimic joint="j1"/>'
+    joint = '<joint name="j{0}" type="revolute"><parent link="l{1}"/><child link="l{0}"/><origin xyz="{2} 0 0"/>{3}</joint>'
+    rows = ((1, 0.0, limit), (2, 0.2, limit + mimic), (3, 0.25, limit))
+    hand = (
+        '<link name="hand"/><joint name="h" type="fixed"><parent link="l3"/><child link="hand"/><origin xyz="0.1 0 0"/></joint>'
+    )
+    joints = "".join(joint.format(i, i - 1, x, more) for i, x, more in rows)
+    file.write_text(f'<robot name="follows">{links}{joints}{hand}</robot>')
+    asked = SMALL | {"robot": str(file), "parameters": {"tip.length": [0.1, 0.3]}}
+    asked["targets"] = {"kind": "voxels", "size": 0.5}
+    found = [v.robot for v in jaxik.sweeps.Study.of(asked).variants]
+    at = [float(jaxik.forward_kinematics(robot, np.zeros(2))[0, 3]) for robot in found]
+    np.testing.assert_allclose(at, [0.55, 0.75], atol=1e-6)
+
+
+def test_a_scene_is_known_by_its_names_too():
+    """Links ignore objects by name, and a store of the scene before was taken for complete."""
+    of = lambda name: _digest(jaxik.make_scene().with_(name, boxes=[[0.0, 0.0, 0.0, 1.0, 1.0, 0.1]]))
+    assert of("floor") == of("floor") != of("ground")
