@@ -201,7 +201,7 @@ def _parsed(path: Path, where: str, name: str, target: Path, scale: np.ndarray) 
     try:
         points, faces = _read(target.suffix.lower(), target.read_bytes())
         points = points * scale
-        faces = faces[:, ::-1] if np.prod(scale) < 0.0 else faces  # mirrored, they would be inside out
+        faces = faces[:, ::-1] if np.prod(np.sign(scale)) < 0.0 else faces  # mirrored, they would be inside out
         if not len(points) or not np.all(np.isfinite(points)):
             raise ValueError("no corners, or such that are not finite")
         if np.any((faces < 0) | (faces >= len(points))):
