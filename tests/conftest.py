@@ -40,7 +40,7 @@ def pytest_sessionstart(session):
 
     import jax
 
-    from jaxik.spmd import call
+    from jaxik.spmd import call, primitive
 
     jax.config.update("jax_enable_x64", True)
     # most of a run is compiling, and its results are read once: XLA's and LLVM's quick code, which of kernels has the same bits
@@ -48,6 +48,8 @@ def pytest_sessionstart(session):
     call.QUICK = 0
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
     gc.set_threshold(100_000, 50, 100)  # traces make many objects and little garbage
+    if not has_kernels():  # the one warning that everything runs by XLA is as it should be, whichever test would be the first
+        primitive._told.add(("everything", call.NO_LLVM))
 
 
 _TESTS = itertools.count()
@@ -63,8 +65,7 @@ def has_kernels():
 
 
 def pytest_configure(config):
-    if not has_kernels():  # the one warning that everything runs by XLA is as it should be
-        config.addinivalue_line("filterwarnings", "ignore:jaxik.kernel. everything runs by XLA:UserWarning")
+    if not has_kernels():
         os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # for processes that tests start, too: the same bits
 
 
