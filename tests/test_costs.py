@@ -70,7 +70,7 @@ def test_freedom_and_sums():
 
 
 def test_a_band_of_no_width_is_refused():
-    """It was NaN."""
+    """The cost was NaN."""
     for soft in (0.0, 0.6, np.nan):
         with pytest.raises(ValueError, match=r"soft .*; allowed: above 0, to 0.5"):
             costs.joint_limit_cost(jaxik.load("planar2"), np.zeros(2), soft=soft)

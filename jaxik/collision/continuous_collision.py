@@ -147,8 +147,9 @@ def _joint_reaches(robot: Robot) -> np.ndarray:
     turned = lambda one: [abs(rate) for rate in row_rates(robot, list(one))]
     speeds = lambda one, travel: [_bounds(robot, link, way, turned(one), travel).speed for link, way in ways.items()]
     reach = lambda travel: np.array([float(np.max(speeds(one, travel))) for one in np.eye(robot.num_joints)])
-    found, open_ = reach(travel), np.array(robot.tree.slides) & ~robot.is_limited[list(robot.tree.joints)]
-    further = [2.0 * far if free else far for far, free in zip(travel, open_.tolist(), strict=True)]
+    found, free = reach(travel), np.array(robot.is_prismatic) & ~robot.is_limited
+    open_ = np.append(free, np.zeros(len(robot.mimics), bool))  # a rack is as long as half a turn of its joint
+    further = [2.0 * far if endless else far for far, endless in zip(travel, open_.tolist(), strict=True)]
     if open_.any() and not np.array_equal(reach(further), found):
         names = ", ".join(np.array(robot.row_names)[open_])
         mend = "give it limits: dataclasses.replace(robot, lower=..., upper=...)"

@@ -86,7 +86,7 @@ def test_a_whole_turn_has_one_end(name):
 
 
 def test_an_arm_without_leading_joints_is_enumerated():
-    """It has no grid to search between, and every pose was called out of reach."""
+    """There is no grid to search between, and every pose was called out of reach."""
     robot = jaxik.load("ur5e")
     q = np.random.default_rng(3).uniform(-2.5, 2.5, (20, 6))
     poses = np.stack([pinocchio(robot)(row) for row in q])

@@ -216,7 +216,7 @@ def test_what_is_refused_leaves_the_motion_as_it_was(make, table):
 
 
 def test_a_pose_says_nothing_of_several_tips():
-    """It was taken, and the planner refused it at each update, before the robot was told to brake."""
+    """The goal was taken, and the planner refused it at each update, before the robot was told to brake."""
     pair = jaxik.load("p6r_pair")
     arm = jaxik.Replanner(pair, np.zeros(pair.num_joints), acceleration=4.0)
     with pytest.raises(ValueError, match=r"p6r_pair has the tips left_tip, right_tip; go to solve_ik\(robot, poses\).q"):
