@@ -193,13 +193,13 @@ def test_postures_of_a_pose_keep_the_tasks(seven):
     assert refused.reason == Reason.OFF_TASK and "0.4 rad off" in refused.why
 
 
-def test_better_ways_keep_the_task(seven):
+def test_better_ways_keep_the_task(seven, seconds):
     robot, task, truth = seven.robot, Task.upright("z", within=0.2), seven.truth
     goal = kept_near(robot, task, START, START + 0.4 * np.array([2, 1, 0, -1, 0, 1, 0]))[1]
     first = plan_motion(robot, START, goal, scene=POST, along=task)
     wanted = truth.pose(START, "hand")
     for kind, measure in (("length", lambda m: m.length), ("time", lambda m: m.trajectory.duration)):
-        better = plan_motion(robot, START, goal, scene=POST, along=task, improve=0.2, improves=kind)
+        better = plan_motion(robot, START, goal, scene=POST, along=task, improve=seconds(0.2), improves=kind)
         assert first and better and measure(better) < measure(first)
         q = better.trajectory.sample(0.01).q
         assert max(off(task, truth.pose(each, "hand"), wanted)[1] for each in q) <= 1e-4 + 1e-7
