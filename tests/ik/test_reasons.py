@@ -39,8 +39,11 @@ def test_an_arm_that_is_nearly_of_a_family_has_no_false_proof(name, angle):
     assert result.counts() == {"solved": 300}
     pose = pinocchio(robot)
     assert max(max(pose_errors(pose(q), target)) for q, target in zip(result.q, targets, strict=True)) < 1.001e-6
-    # found by none of its branches, they are not proven to be away
-    assert prove_reach(robot, targets[:5], slides=1, refine=0).counts() == {"not converged": 5}
+    # what none of its branches has is not proven to be away; the others have the pose
+    proof = prove_reach(robot, targets[:20], slides=1, refine=0)
+    assert set(proof.counts()) <= {"solved", "not converged"}
+    for target, branch in zip(targets[:20][proof.success], proof.branch[proof.success], strict=True):
+        assert max(pose_errors(pose(jaxik.closed_form(robot, target).q[branch]), target)) < 1e-6
 
 
 def test_what_only_the_tolerances_reach_is_not_proven_away():
