@@ -31,7 +31,6 @@ from jaxik.spatial.rotations import to_rpy
 JOINT = {"name": "joint_names", "type": "joint_types", "frame": "parent_T_joint", "axis": "axis"}
 JOINT |= {limit: limit for limit in ("lower", "upper", "velocity", "effort", "armature")}
 LINK = {"name": "link_names", "joint": "link_joint", "frame": "link_offset"}
-FAST = 1e9  # [rad/s, m/s] of a joint whose velocity has no limit: readers of URDF want a number
 LOST = (
     "the .srdf beside it names the pairs of links that are not to be checked; tables of distances, ignored objects and the "
     "inertia of rotors are lost, and of drives all but coulomb and viscous friction"
@@ -368,8 +367,8 @@ def spherized(robot: Robot, beyond: float) -> tuple[str, float]:
         ends = {} if robot.joint_types[i] == "continuous" else {"lower": robot.lower[i], "upper": robot.upper[i]}
         if not np.isfinite([*ends.values()]).all():
             raise ValueError(f"save: '{name}' has no limits, which a URDF wants; give it some, or write a .toml")
-        effort = robot.effort[i] if np.isfinite(robot.effort[i]) else 0.0  # which the format wants of every joint
-        limit = ends | {"velocity": min(robot.velocity[i], FAST), "effort": effort}
+        given = {"velocity": robot.velocity[i], "effort": robot.effort[i]}  # the format wants them of every joint: 0 is none
+        limit = ends | {name: most if np.isfinite(most) else 0.0 for name, most in given.items()}
         ElementTree.SubElement(joint, "limit", {k: repr(float(v)) for k, v in limit.items()})
         if robot.drives:
             ElementTree.SubElement(joint, "dynamics", _friction(robot.drives[i]))

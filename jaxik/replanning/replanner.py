@@ -112,9 +112,9 @@ class Replanner:
         who, n = "Replanner.go: goal", self.robot.num_joints
         goal = numbers(who, goal, (n,), (4, 4), finite=True)
         if goal.ndim == 2:
-            if len(tips := self.robot.tip_names) > 1:
-                mend = "go to solve_ik(robot, poses).q of all"
-                raise ValueError(f"{who} is a pose, and {self.robot.name} has the tips {', '.join(tips)}; {mend}")
+            if len(self.robot.tips) > 1:
+                tips, mend = ", ".join(self.robot.tip_names), "go to solve_ik(robot, poses).q of all"
+                raise ValueError(f"{who} is a pose, and {self.robot.name} has the tips {tips}; {mend}")
             if not is_rigid(goal):
                 raise ValueError(f"{who} is no rigid frame; allowed: a right-handed rotation, and 0 0 0 1 below")
         else:

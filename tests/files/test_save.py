@@ -192,6 +192,7 @@ def test_a_urdf_has_the_numbers_that_its_readers_want(tmp_path):
     robot = dataclasses.replace(jaxik.load("p6r"), velocity=np.full(7, np.inf))
     jaxik.save(robot, tmp_path / "robot.urdf")
     assert pin.buildModelFromUrdf(str(tmp_path / "robot.urdf")).nq == 7
+    assert np.isinf(jaxik.load(tmp_path / "robot.urdf", tip="tool").velocity).all()
     moving = jaxik.load(tmp_path / "robot.urdf", tip="tool", base="planar")
     with pytest.raises(ValueError, match="save: 'base_x' has no limits, which a URDF wants"):
         jaxik.save(moving, tmp_path / "moving.urdf")
