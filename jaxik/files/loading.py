@@ -216,14 +216,14 @@ class _Read:
                 robot = _saved(path, read_robot(model), tip, base, tool, stance)
                 saved = robot.self_pairs
             else:
-                robot = load_toml(model, tips, base, tool, stance)
+                robot = load_toml(model, tips, base, tool, stance, notes)
         elif kind in readers:
             robot = readers[kind](path, tips, base, tool, meshes, stance, notes)
         else:
             expand = f"; expand a xacro: xacro {path.name} > {path.name.partition('.')[0]}.urdf" if kind == ".xacro" else ""
             raise LoadError(path, "file", f"ending '{kind}'", f"allowed: .urdf, .xml (MJCF), .toml{expand}")
         if semantics.path is not None:
-            groups, states = semantics.of(robot, notes.above)
+            groups, states = semantics.of(robot, notes)
             robot = dataclasses.replace(robot, groups=groups, states=states)
         return _Read(path, robot, [] if saved is not None else meshes.shapes(robot), saved, notes, stance)
 

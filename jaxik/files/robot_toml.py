@@ -27,6 +27,7 @@ from jaxik.files.robot_builder import (
     MOVING_BASES,
     Joint,
     Link,
+    Notes,
     Tip,
     all_driven,
     assemble_tree,
@@ -255,12 +256,13 @@ class Parts:
         return ["base", *(joint.child for _, joint in self.pairs)]
 
 
-def load_toml(model: Table, tip: AskedTips, base: str | None, tool: np.ndarray | None, posture: Posture) -> Robot:
+def load_toml(model: Table, tip: AskedTips, base: str | None, tool: np.ndarray | None, posture: Posture, notes: Notes) -> Robot:
     """A model file to a robot from link `base`, or from a base that moves, to the `tip` or tips, where they are given, else to
     those that it names, or its only leaf; joints on no way to a tip are held."""
     path, parts = model.path, _parts(model, (model.path.resolve(),))
     names = parts.names
     above, moves = {j.child: parent for parent, j in parts.pairs}, base if base in MOVING_BASES and base not in names else None
+    notes.links, notes.above = tuple(names), {joint.child: (joint.name, parent) for parent, joint in parts.pairs}
     asked = AskedTips(parts.tips, True) if tip.names is None and parts.tips else tip
     ways = ways_of(path, names, above, asked, "base" if moves else base or "base")
     if tip.names is None:

@@ -9,9 +9,12 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 from jaxik.files.documents import attribute, parse
+from jaxik.files.robot_builder import Notes
 from jaxik.kinematics.named import Group, State
 from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
+
+LINKS = {"link": ("name",), "chain": ("base_link", "tip_link")}  # where parts of a group name a link
 
 
 class Semantics(NamedTuple):
@@ -23,16 +26,23 @@ class Semantics(NamedTuple):
     states: Sequence[Element] = ()
     tips: Mapping[str, str] = {}
 
-    def of(self, robot: Robot, above: Mapping[str, tuple[str, str]]) -> tuple[tuple[Group, ...], tuple[State, ...]]:
-        """The groups and states of a robot's own joints. `above` says of each link of the file which joint leads to it, and
-        from which link."""
+    def of(self, robot: Robot, notes: Notes) -> tuple[tuple[Group, ...], tuple[State, ...]]:
+        """The groups and states of a robot's own joints. Links are those of its file, which `notes` has; it has none of a robot
+        that was saved, whose own they are then. Tells of links in the groups that are not there."""
         assert self.path is not None
         own = lambda names: tuple(name for name in robot.joint_names if name in names)
-        groups = [Group(name, own(self._joints(name, above, ()))) for name in self.groups]
+        ways = {link: _way(link, notes.above) for link in notes.links} or _ways_of(robot)
+        named = [part.get(key, "") for group in self.groups.values() for part in group for key in LINKS.get(part.tag, ())]
+        if strangers := [*dict.fromkeys(name for name in named if name and name not in ways)]:
+            notes.add(
+                f"groups of {self.path.name} name these links, which the file has not: their joints are missing", *strangers
+            )
+        groups = [Group(name, own(self._joints(name, ways, ()))) for name in self.groups]
         return tuple(group for group in groups if group.joints), tuple(self._state(each, robot) for each in self.states)
 
-    def _joints(self, name: str, above: Mapping[str, tuple[str, str]], inside: tuple[str, ...]) -> set[str]:
-        """The joints of a group, and of those in it."""
+    def _joints(self, name: str, ways: Mapping[str, tuple[str, ...]], inside: tuple[str, ...]) -> set[str]:
+        """The joints of a group, and of those in it. A link's is the first on its way to the root; a chain's are those that
+        move one of its two links against the other, neither of which need hang on the other."""
         assert self.path is not None
         where = f"group '{name}'"
         if name in inside:
@@ -44,14 +54,12 @@ class Semantics(NamedTuple):
             if part.tag == "joint":
                 found.add(attribute(self.path, where, part, "name"))
             elif part.tag == "link":
-                found |= {above[link][0] for link in (attribute(self.path, where, part, "name"),) if link in above}
+                found |= {*ways.get(attribute(self.path, where, part, "name"), ())[:1]}
             elif part.tag == "group":
-                found |= self._joints(attribute(self.path, where, part, "name"), above, (*inside, name))
+                found |= self._joints(attribute(self.path, where, part, "name"), ways, (*inside, name))
             elif part.tag == "chain":
-                base, link = (attribute(self.path, where, part, key) for key in ("base_link", "tip_link"))
-                while link != base and link in above:
-                    joint, link = above[link]
-                    found.add(joint)
+                base, tip = (attribute(self.path, where, part, key) for key in LINKS["chain"])
+                found |= {*ways[base]} ^ {*ways[tip]} if base in ways and tip in ways else set()
         return found
 
     def _state(self, element: Element, robot: Robot) -> State:
@@ -70,6 +78,21 @@ class Semantics(NamedTuple):
             if not math.isfinite(values[joint]):
                 raise LoadError(self.path, where, f"joint '{joint}' has the value '{value[:40]}'", "write one number [rad, m]")
         return State(name, group, tuple(values.items()))
+
+
+def _way(link: str, above: Mapping[str, tuple[str, str]]) -> tuple[str, ...]:
+    """The joints from a link up to the root; a file's links beside the robot may hang on each other in a ring."""
+    found: dict[str, None] = {}
+    while link in above and above[link][0] not in found:
+        joint, link = above[link]
+        found[joint] = None
+    return tuple(found)
+
+
+def _ways_of(robot: Robot) -> dict[str, tuple[str, ...]]:
+    """Of each link the joints that move it, the nearest first."""
+    way = lambda number: tuple(robot.joint_names[robot.tree.joints[row]] for row in reversed(robot.tree.way(number)))
+    return {name: way(number) for name, number in zip(robot.link_names, robot.link_joint, strict=True)}
 
 
 def read_srdf(path: str | Path | None) -> Semantics:

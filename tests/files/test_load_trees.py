@@ -452,6 +452,38 @@ def test_groups_states_and_end_effectors(two):
     assert part.state("home").tolist() == [0.5, -0.3] and part.group("both").tolist() == [0, 1]
 
 
+CHAINS = """<robot name="two">
+<group name="hands"><chain base_link="left_hand" tip_link="right"/></group>
+<group name="up"><chain base_link="left_hand" tip_link="torso"/></group>
+<group name="absent"><chain base_link="world" tip_link="left_hand"/><joint name="turn"/></group>
+<group name="led"><link name="left"/></group></robot>"""
+THEIRS = {  # of a chain those that move one of its two links against the other
+    "hands": ("left_shoulder", "left_wrist", "right_shoulder"),
+    "up": ("left_shoulder", "left_wrist"),
+    "absent": ("turn",),
+    "led": ("left_shoulder",),
+}
+
+
+@pytest.mark.parametrize("kind", ["urdf", "toml", "saved"])
+def test_a_group_between_two_links(two, kind, tmp_path):
+    """A saved robot's links are those that its joints move, and its file has no others."""
+    srdf, robot = write(two.parent, "chains.srdf", CHAINS), jaxik.load(two, tip=HANDS, held={})
+    path, options = two, {"tip": HANDS, "held": {}}
+    if kind == "saved":
+        path, options = tmp_path / "two.toml", {}
+        jaxik.save(robot, path)
+    elif kind == "toml":
+        on = {"torso": "base", "left": "torso", "left_hand": "left", "right": "torso", "right_hand": "right"}
+        rows = [f'[[joint]]\nname = "{each}"\ntype = "revolute"\nlink = "{link}"\non = "{on[link]}"\nlower = -1\nupper = 1'
+                for each, link in zip(robot.joint_names, on, strict=True)]  # fmt: skip
+        head = ['name = "two"', 'description = "two arms"', 'convention = "frames"']
+        path = write(tmp_path, "rows.toml", "\n".join([*head, *rows]))
+    with pytest.warns(UserWarning, match=r"world: groups of chains\.srdf name these links, which the file has not"):
+        robot = jaxik.load(path, srdf=srdf, **options)
+    assert {group.name: group.joints for group in robot.groups} == THEIRS
+
+
 def test_a_state_of_no_group(two):
     """The file of Kinova's arm in example-robot-data has such ones."""
     srdf = write(two.parent, "free.srdf", SRDF.replace('name="other" group="right_arm"', 'name="other"'))
