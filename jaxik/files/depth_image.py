@@ -53,7 +53,7 @@ def _png(content: bytes) -> np.ndarray:
     from PIL import Image
 
     with Image.open(io.BytesIO(content), formats=["PNG"]) as image:
-        return np.asarray(image)
+        return np.asarray(image.convert("RGB") if image.mode == "P" else image)  # a palette's numbers are colours, not depths
 
 
 def _exr(content: bytes) -> np.ndarray:

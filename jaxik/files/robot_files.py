@@ -130,7 +130,7 @@ def read_robot(model: Table) -> Robot:
     for what, each in (("joint", [*rows, *follow]), ("link", places)):
         unique(model.path, what, (row["name"] for row in each))
     shapes = [_shape(table, names) for table in model.tables("shape")]
-    per_box = int(model.number("spheres_per_box", "plain", 8.0))
+    per_box = model.count("spheres_per_box", 8)
     if per_box not in LEVELS:
         raise model.fail(f"spheres_per_box = {per_box}", f"allowed: {', '.join(map(str, LEVELS))}")
     robot = Robot(

@@ -175,8 +175,8 @@ def _from_ply(path: Path) -> Scene:
     if len(odd):
         raise LoadError(path, "document", f"label {odd[0]:g}", "give vertices with x, y, z and an integer label")
     header = content.split(b"end_header")[0].decode("ascii", "replace")
-    words = [line.split() for line in header.splitlines() if line.startswith("comment label ")]
-    names = {int(w[2]): w[3] for w in words if len(w) == 4 and w[2].isdigit()}
+    words = [line.split(maxsplit=3) for line in header.splitlines() if line.startswith("comment label ")]
+    names = {int(w[2]): w[3].rstrip() for w in words if len(w) == 4 and w[2].isdigit()}
     labels = [names.get(n, f"object_{n}") for n in numbers.astype(int)]
     return _from_points(path, labels, points.reshape(-1, 3))
 

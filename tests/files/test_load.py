@@ -802,6 +802,11 @@ def test_labelled_points(tmp_path, name, content):
     assert np.allclose(scene.marks[0].position, (0.1, 0.7, 0.3), atol=1e-7)
 
 
+def test_a_label_of_two_words(tmp_path):
+    content = ply([(0.1, 0.7, 0.5, 1), (0.1, 0.7, 0.4, 2)], {1: "old leaf ", 2: "fruit_1"})
+    assert jaxik.load_scene(write(tmp_path, "scene.ply", content)).object_names == ("old leaf", "fruit_1")
+
+
 @pytest.mark.parametrize(
     "content, words",
     [

@@ -144,6 +144,10 @@ def test_bad_files_are_one_line(tmp_path):
     robot = jaxik.load("planar2")
     jaxik.save(robot, tmp_path / "robot.toml")
     text = (tmp_path / "robot.toml").read_text()
+    for count in ("inf", "8.5"):
+        path = write(tmp_path, "bad.toml", text.replace("spheres_per_box = 8", f"spheres_per_box = {count}"))
+        with pytest.raises(jaxik.LoadError, match=f"spheres_per_box = {count}; write a whole number of at least 1"):
+            jaxik.load(path)
     bad = {
         "pairs = []": ('pairs = [["link1"]]', "pairs holds"),
         'type = "revolute"': ('type = "fixed"', "type = 'fixed'"),

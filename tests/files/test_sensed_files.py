@@ -45,8 +45,8 @@ def test_millimetres_that_pass_for_metres_are_warned_of_by_their_range(tmp_path)
         Camera(16, 12, 10.0, 10.0, 8.0, 6.0).depth(load_depth(tmp_path / "a.npy"))
 
 
-def colours(path):
-    Image.fromarray(np.zeros((4, 5, 3), np.uint8)).save(path / "x.png")
+def colours(path, mode="RGB"):
+    Image.fromarray(np.zeros((4, 5, 3), np.uint8)).convert(mode).save(path / "x.png")
     return path / "x.png"
 
 
@@ -59,6 +59,7 @@ BAD = {
     "another ending": (lambda p: p / "depth.tiff", "allowed: .png, .exr, .npy"),
     "no file": (lambda p: p / "none.png", "cannot be read"),
     "colours": (colours, "no colours"),
+    "colours by a palette": (lambda p: colours(p, "P"), "no colours"),
     "no image": (lambda p: written(p / "x.png", b"hello"), "cannot be read as PNG"),
     "no EXR": (lambda p: written(p / "x.exr", b"hello"), "cannot be read as EXR"),
     "which channel": (lambda p: exr(p / "x.exr", u=METRES, w=METRES), "channels u, w"),
