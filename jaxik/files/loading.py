@@ -132,9 +132,10 @@ def load(
     `options` and `changes`, fields of `LoadOptions` by name, say how the file is read: `load("arm.urdf", meshes=True)`.
 
     All that hangs on the robot belongs to it, with shapes and masses; joints beside it are held (`held`, `posture`). What is
-    above `base` is left out, and what flies freely in an MJCF. Damping and dry friction of a URDF's and an MJCF's joints are in
-    `drives`, which are ideal otherwise: a current is a torque. A warning, one line each, tells what a file has besides that the
-    robot has not (springs, gravity of its own), and what it is likely to mean otherwise (limits in degrees).
+    above `base` is left out, and what flies freely or is led by hand (mocap) in an MJCF. Damping and dry friction of a URDF's
+    and an MJCF's joints are in `drives`, which are ideal otherwise: a current is a torque. A warning, one line each, tells what
+    a file has besides that the robot has not (springs, gravity of its own), and what it is likely to mean otherwise (limits in
+    degrees).
 
     A mesh's name is a path from the file's folder, which stays below it (below the folder above, where the file's own is called
     urdf, urdfs, xacro, robots, mjcf or xml), or `package://` (`packages`). Links are followed. DAE needs

@@ -56,7 +56,7 @@ def load_mjcf(
     path: Path, tip: AskedTips, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture, notes: Notes
 ) -> Robot:
     """The tree from body `base` (the world) to bodies or sites `tip` (the only leaf), and what it carries, `held` in a posture;
-    bodies that fly freely are no part of it, but for the one that a base moves."""
+    bodies that fly freely, or are led by hand (mocap), are no part of it, but for the one that a base moves."""
     model, unread = _compiled(path, meshes, notes)
     names = [model.body(i).name or f"body{i}" for i in range(model.nbody)]
     notes.links = tuple(names)
@@ -153,12 +153,11 @@ def _without_meshes(spec: Any, notes: Notes) -> dict[str, list[str]]:
 
 
 def _aside(model: Any, robot: set[int]) -> list[int]:
-    """The bodies that hang on a robot, none of them by a free joint; parents before children, as MuJoCo numbers them."""
+    """The bodies that hang on a robot, none of them by a free joint or by hand (mocap); parents before children, as MuJoCo
+    numbers them."""
     reached = dict.fromkeys(robot)
     for body in range(1, model.nbody):
-        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        free = count > 0 and model.jnt_type[first] == FREE
-        if body not in robot and model.body_parentid[body] in reached and not free:
+        if body not in robot and model.body_parentid[body] in reached and not _loose(model, body):
             reached[body] = None
     return [body for body in reached if body not in robot]
 
@@ -430,14 +429,17 @@ def _tied(model: Any, tendon: int) -> list[int]:
     return found
 
 
+def _loose(model: Any, body: int) -> bool:
+    """Whether a free joint, or somebody's hand (mocap), moves a body in the world."""
+    first = int(model.body_jntadr[body])
+    return bool(model.body_mocapid[body] >= 0 or (first >= 0 and model.jnt_type[first] == FREE))
+
+
 def _flies(model: Any, body: int) -> bool:
-    """Whether a free joint leads to a body, or somebody's hand."""
-    while body:
-        first = int(model.body_jntadr[body])
-        if model.body_mocapid[body] >= 0 or (first >= 0 and model.jnt_type[first] == FREE):
-            return True
+    """Whether a body is loose, or hangs on one that is."""
+    while body and not _loose(model, body):
         body = int(model.body_parentid[body])
-    return False
+    return body > 0
 
 
 def solid_geoms(model: Any) -> np.ndarray:

@@ -170,6 +170,7 @@ def test_a_study_says_where_joints_are_held(arm):
 
 MJCF = """<mujoco><compiler angle="radian"/><default><geom size=".05"/></default><worldbody>
 <body name="crate" pos="2 0 0"><freejoint/><geom/></body><body name="post" pos="1 1 0"><geom/></body>
+<body name="target" mocap="true" pos="0 2 0"><geom/></body>
 <body name="upper"><joint name="turn" axis="0 0 1" range="-2 2" limited="true"/><geom/>
 <body name="hand" pos=".4 0 0"><joint name="bend" axis="0 1 0" range="-2 2" limited="true"/><geom/>
 <body name="left" pos=".1 0 0"><joint name="thumb" type="slide" axis="0 1 0" range=".01 .04" limited="true"/><geom/></body>
@@ -192,7 +193,7 @@ def test_mjcf_is_held_as_mujoco_poses_it(tmp_path):
     for name in ("post", "upper", "hand", "left", "right", "ball"):
         np.testing.assert_allclose(frames[name][:3, 3], data.body(name).xpos, atol=1e-12)
         np.testing.assert_allclose(frames[name][:3, :3].ravel(), data.body(name).xmat, atol=1e-12)
-    assert "crate" not in frames
+    assert "crate" not in frames and "target" not in frames
     with pytest.warns(UserWarning, match=r"thumb at 0\.01, index at 0\.0202, roll at 0, joint6 \(ball\) where it stands;"):
         jaxik.load(path, tip="hand")
     told = {row.joint: row for row in jaxik.files.fit_report(path, tip="hand", posture={"thumb": 0.03, "roll": 0.5}).held}
