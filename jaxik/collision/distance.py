@@ -114,14 +114,15 @@ def _nearest_on_segments(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> tuple[Any, Any]:
 
 
 def point_triangle(p: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
-    """Point p to the triangle abc: its plane where p projects inside, else the nearest edge."""
+    """Point p to the triangle abc: its plane where p projects inside, if that is nearer than the nearest edge: on a sliver,
+    where a point is inside may be rounding alone, and any point of the triangle bounds the distance from above."""
     u, v, w = b - a, c - a, p - a
     uu, uv, vv, wu, wv = u.dot(u), u.dot(v), v.dot(v), w.dot(u), w.dot(v)
     determinant = uu * vv - uv * uv
     s, t = safe_divide(vv * wu - uv * wv, determinant), safe_divide(uu * wv - uv * wu, determinant)
     inside = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0) & (determinant > 0.0)
     plane = norm(w - u * _held(s) - v * _held(t))
-    return jnp.where(inside, plane, _least(point_segment(p, *_edges((a, b, c), p))))
+    return _less(jnp.where(inside, plane, jnp.inf), _least(point_segment(p, *_edges((a, b, c), p))))
 
 
 def passes_through(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:

@@ -138,6 +138,25 @@ def test_the_way_out_of_a_triangle():
             assert np.abs(kernel(mine + out, other)[0]).max() <= 1e-9
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_sliver_is_as_near_as_it_is(dtype):
+    """Points inside a triangle that is 1 m long and 0.3 mm wide were told in float32 to be 0.1 m away from it."""
+    rng, count, width = np.random.default_rng(5), 500, 3e-4
+    turns = Rotation.random(count, random_state=rng).as_matrix()
+    corners = np.zeros((count, 3, 3))
+    corners[:, 1, 0], corners[:, 2, 0], corners[:, 2, 1] = 1.0, rng.uniform(size=count), width
+    weights = rng.dirichlet(np.ones(3), count)[:, :, None]
+    points = np.sum(weights * corners, axis=1) + np.array([0.0, 0.0, 0.01])
+    place = lambda x: (np.einsum("nij,n...j->n...i", turns, x) + 0.3).astype(dtype)
+    points, corners = place(points), place(corners)
+    apart = lambda p, t: distance.point_triangle(Vec3(*p), *(Vec3(*t[3 * i : 3 * i + 3]) for i in range(3)))
+    found = HostKernel(apart, 2)(points, corners.reshape(count, 9))[0]
+    nearest = trimesh.triangles.closest_point(corners.astype(np.float64), points.astype(np.float64))
+    truth = np.linalg.norm(points - nearest, axis=1)
+    assert np.all(found >= truth - 1e-6)
+    np.testing.assert_allclose(found, truth, rtol=0, atol={np.float32: 1e-5, np.float64: 1e-12}[dtype])
+
+
 def test_no_motion_passes_through_a_surface(arm):
     """A body and an open surface, by a dense sampling; and a motion inside of a body is not free."""
     robot, builder = dataclasses.replace(arm, volumes=arm.volumes[:2]), jaxik.collision.SceneBuilder()
