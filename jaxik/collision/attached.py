@@ -47,22 +47,23 @@ def attach(robot: Robot, scene: Scene, name: str, q: Float[Array, " n"], *, touc
     serve the next, and none. A robot that holds something puts it down where its programs go on with the robot with the empty
     room, and the scene that has the object (`Scene.moved`). What holds two things at once takes them as one object.
 
-    With several tips `robot.with_tips(name)` chooses the one that grasps. Raises `ValueError` for an object that is
-    not there, has no obstacle, the name of a link or more obstacles than there is room for, for a room in which something is
-    held, for links that the robot does not have, for a q of another shape, and for what is traced.
+    With several tips `robot.with_tips(name)` chooses the one that grasps; what is put into a room moves with the tip that the
+    room was made with. Raises `ValueError` for an object that is not there, has no obstacle, the name of a link or more
+    obstacles than there is room for, for a room in which something is held, for links that the robot does not have, for a q of
+    another shape, and for what is traced.
     """
     check_kind("attach", "robot", robot, Robot)
     check_kind("attach", "scene", scene, Scene)
     check_known("attach", robot=robot, scene=scene)
     check_scene(scene)
-    last, link = robot.only_tip("attach"), len(robot.link_names)
+    room, link = room_of(robot), len(robot.link_names)
+    last = robot.only_tip("attach") if room is None else robot.link_joint[room]
     if name not in scene.object_names:
         raise ValueError(no_such("attach", "object", str(name), scene.object_names))
     if name in robot.link_names:
         raise ValueError(f"attach: {robot.name} has a link '{shown(name)}' already; give the object another name")
     free = _free("attach", robot, touches := _as_links("attach", touches), last)
     posture = as_posture("attach", robot, q)
-    room = room_of(robot)
     if room is not None and touches:
         raise ValueError("attach: touches of a robot with room; say them where the room is made (with_room)")
     if room is not None and any(float(v.radius) > -FAR for v in robot.volumes if v.link == room):  # it would be nowhere

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from robot_files import HANDS, TWO, write
 
 import jaxik
 from jaxik.collision import attach, with_room
@@ -126,6 +127,20 @@ def test_bad_use_is_one_line(scene, use, words):
     with pytest.raises(ValueError, match=words) as error:
         use(scene)
     assert "\n" not in str(error.value)
+
+
+def test_a_room_moves_with_the_tip_that_it_was_made_with(tmp_path):
+    """What one hand takes did, at the place where the other's frame would have it."""
+    two = jaxik.load(write(tmp_path, "two.urdf", TWO), tip=HANDS, held={})
+    q, other = np.array([0.3, -0.4, 0.5, 0.6, -0.7]), np.array([-0.2, 0.3, 0.1, 0.5, 0.4])
+    cup = np.asarray(jaxik.forward_kinematics(two, q))[0, :3, 3] + [0.1, 0.0, 0.05]
+    scene = jaxik.make_scene(spheres=[[*cup, 0.03]])
+    room, link = with_room(two.with_tips("left_hand"), spheres=1), attach(two.with_tips("left_hand"), scene, "spheres_1", q)
+    for robot in (room, room.with_tips("right_hand"), room.with_tips(HANDS)):
+        held = attach(robot, scene, "spheres_1", q).robot
+        for at in (q, other):
+            found, wanted = (jaxik.collision.robot_spheres(each, at)[0][-1] for each in (held, link.robot))
+            np.testing.assert_allclose(found, wanted, atol=1e-6)
 
 
 def test_one_function_leaves_nothing_traced_to_the_next(scene):
