@@ -122,7 +122,7 @@ def cloud_of(who: str, points: Any, radius: Any, name: str, capacity: Any, count
     """
     points, radius = _points(who, points), _radius(who, radius)
     if count is not None:
-        count = _count(who, count, len(points))
+        count = count_of(who, count, len(points))
     if not is_known((points, radius, count)):
         most = _room(who, len(points), capacity, room)
         return _traced(jnp.asarray(points), radius, len(points) if count is None else count, most, name)
@@ -270,12 +270,13 @@ def _radius(who: str, given: Any) -> Any:
     return radius
 
 
-def _count(who: str, given: Any, most: int) -> Any:
+def count_of(who: str, given: Any, most: int, what: str = "points") -> Any:
+    """How many of `most` points are there. Raises `ValueError` for what is no count, or more."""
     if not is_known(given):
         return as_numbers(f"{who}: count", given, ())
     count = as_count(f"{who}: count", given, least=0)
     if count > most:
-        raise ValueError(f"{who}: count {count:,} of {most:,} points; write no more than there are")
+        raise ValueError(f"{who}: count {count:,} of {most:,} {what}; write no more than there are")
     return count
 
 

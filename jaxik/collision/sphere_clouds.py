@@ -19,6 +19,7 @@ from jaxik.checks.arrays import Array, as_numbers
 from jaxik.checks.options import check_kind
 from jaxik.collision import bvh
 from jaxik.collision.clearances import check_geometry
+from jaxik.collision.cloud import count_of
 from jaxik.collision.distance import root
 from jaxik.collision.leaf_rows import entry, row_at
 from jaxik.collision.nearest_pair import Space
@@ -36,15 +37,17 @@ def clearance_to_spheres(
     configuration and spheres that change from call to call. Traced.
 
     `spheres` (m, 4) are centres and radii [m, world]; of these the first `count` are there, all unless it is told. NaN in them
-    or in `q` gives NaN. Raises `ValueError` for another shape, and for a robot without collision geometry.
+    or in `q` gives NaN. Raises `ValueError` for another shape, a count that is none or above m, and for a robot without
+    collision geometry.
     """
     check_kind("clearance_to_spheres", "robot", robot, Robot)
     check_geometry(robot)
     q, around = as_configuration(robot, q), bvh.grouped(None, robot)
     spheres = as_numbers("clearance_to_spheres: spheres", spheres, ("m", 4)).astype(q.dtype)
     most = len(spheres)
+    count = most if count is None else count_of("clearance_to_spheres", count, most, "spheres")
     spheres = spheres if most else jnp.zeros((1, 4), q.dtype)  # one that is not there: lanes read a row
-    return _clearance_to_spheres(robot, around, q, spheres, jnp.int32(most if count is None else count))
+    return _clearance_to_spheres(robot, around, q, spheres, jnp.int32(count))
 
 
 @kernel(models=1)

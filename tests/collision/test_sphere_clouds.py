@@ -48,5 +48,10 @@ def test_without_spheres_it_is_the_distance_to_itself():
     np.testing.assert_allclose(found, clearance(robot, None, q), rtol=0, atol=1e-6)
     with pytest.raises(ValueError, match=r"spheres has the shape \(1, 3\); allowed: \(m, 4\)"):  # no radius
         clearance_to_spheres(robot, [[0.7, 0.0, 1.5]], q)
+    for count in (-1, 1.9):
+        with pytest.raises(ValueError, match=rf"count is {count}; allowed: a count"):
+            clearance_to_spheres(robot, np.ones((2, 4)), q, count=count)
+    with pytest.raises(ValueError, match=r"count 5 of 2 spheres; write no more than there are"):
+        clearance_to_spheres(robot, np.ones((2, 4)), q, count=5)
     with pytest.raises(ValueError, match=r"robot is p6r; write a jaxik.Robot"):
         clearance_to_spheres("p6r", np.zeros((1, 4)), q)
