@@ -95,7 +95,8 @@ def _reshaped(table: Table, robot: Robot, key: str, value: float) -> Robot:
 
 
 def _stretched(table: Table, robot: Robot, joint: str, what: str, value: float) -> Robot:
-    """The robot with the offset before `joint` (after the last, for the tip) changed, and that link's geometry with it."""
+    """The robot with the offset before `joint` (after the last, for the tip) changed, and that link's geometry with it, but for
+    an offset that was 0: nothing is along it."""
     number = robot.num_joints if joint == "tip" else robot.joint_names.index(joint)
     before = np.array(robot.joint_T_tip if joint == "tip" else robot.parent_T_joint[number], np.float64)
     old, new = before[:3, 3].copy(), before[:3, 3]
@@ -115,23 +116,21 @@ def _stretched(table: Table, robot: Robot, joint: str, what: str, value: float) 
         frames[number], row = before, robot.tree.parents[number] + 1
     changed = dataclasses.replace(robot, parent_T_joint=frames, joint_T_tip=tip)
     carried = {link for link, j in enumerate(robot.link_joint) if j == row}
-    return _with_geometry(changed, carried, old, new) if what == "length" else changed
+    return _with_geometry(changed, carried, old, new) if np.linalg.norm(old) > 1e-9 else changed
 
 
 def _with_geometry(robot: Robot, links: set[int], old: np.ndarray, new: np.ndarray) -> Robot:
-    """Boxes, swept volumes and triangles of a lengthened link, stretched along it by as much."""
-    along = old / np.linalg.norm(old)
-    more = np.linalg.norm(new) / np.linalg.norm(old) - 1.0
+    """Boxes, swept volumes and triangles of a link whose offset changes go with it: what is along the old one comes to be along
+    the new one, and what is across stays as far from it."""
+    change = np.eye(3) + np.outer(new - old, old) / (old @ old)
 
-    def stretched(points: Any) -> np.ndarray:
-        return points + more * (points @ along)[..., None] * along
-
-    def box_stretched(box: Box) -> Box:
+    def box_changed(box: Box) -> Box:
         frame = np.array(box.joint_T_box, np.float64)
-        frame[:3, 3] = stretched(frame[:3, 3])
-        return dataclasses.replace(box, joint_T_box=frame, half=box.half * (1.0 + more * np.abs(frame[:3, :3].T @ along)))
+        turn, frame[:3, 3] = frame[:3, :3], change @ frame[:3, 3]
+        half = np.abs(turn.T @ change @ turn) @ box.half  # around the parallelepiped that it comes to be
+        return dataclasses.replace(box, joint_T_box=frame, half=half)
 
-    boxes = [box_stretched(box) if box.link in links else box for box in robot.boxes]
-    volumes = [dataclasses.replace(v, corners=stretched(v.corners)) if v.link in links else v for v in robot.volumes]
-    surfaces = [dataclasses.replace(s, corners=stretched(s.corners)) if s.link in links else s for s in robot.surfaces]
+    boxes = [box_changed(box) if box.link in links else box for box in robot.boxes]
+    volumes = [dataclasses.replace(v, corners=v.corners @ change.T) if v.link in links else v for v in robot.volumes]
+    surfaces = [dataclasses.replace(s, corners=s.corners @ change.T) if s.link in links else s for s in robot.surfaces]
     return dataclasses.replace(robot, boxes=tuple(boxes), volumes=tuple(volumes), surfaces=tuple(surfaces))

@@ -728,6 +728,31 @@ def test_a_lengthened_link_takes_its_triangles_along():
     np.testing.assert_allclose(long.volumes[0].corners, robot.volumes[0].corners * [1.5, 1.0, 1.0])
 
 
+@pytest.mark.parametrize("values", [{"length": [1.2]}, {"x": [1.1]}, {"y": [-0.3]}])
+def test_a_link_s_geometry_goes_with_its_offset(values, tmp_path):
+    """The offset is oblique to the box, and what is inside of the link comes to be inside of its new box."""
+    text = """name = "arm"
+convention = "frames"
+joint = [{name = "turn", type = "revolute", lower = -3, upper = 3},
+  {name = "bend", type = "revolute", axis = [0, 1, 0], translation = [0.4, 0.4, 0], lower = -3, upper = 3}]
+shape = [{link = "turn_link", kind = "box", center = [0.25, 0, 0], size = [0.5, 0.05, 0.05]},
+  {link = "turn_link", kind = "capsule", points = [[0, 0, 0], [0.4, 0.4, 0]], radius = 0.02}]
+"""
+    file = tmp_path / "arm.toml"
+    file.write_text(text)
+    study = jaxik.sweeps.Study.of(
+        {"robot": str(file), "targets": {"kind": "voxels", "size": 0.5}, "parameters": {"bend": values}}
+    )
+    before, (after,) = jaxik.load(file), (v.robot for v in study.variants)
+    old, new = before.parent_T_joint[1][:3, 3], after.parent_T_joint[1][:3, 3]
+    np.testing.assert_allclose(after.volumes[0].corners, [np.zeros(3), new], atol=1e-12)
+    local = np.random.default_rng(0).uniform(-1, 1, (1000, 3)) * before.boxes[0].half
+    points = local @ before.boxes[0].joint_T_box[:3, :3].T + before.boxes[0].joint_T_box[:3, 3]
+    points += ((points @ old) / (old @ old))[:, None] * (new - old)  # as much further as it is along the offset
+    inside = (points - after.boxes[0].joint_T_box[:3, 3]) @ after.boxes[0].joint_T_box[:3, :3]
+    assert np.all(np.abs(inside) <= after.boxes[0].half + 1e-12)
+
+
 def test_a_tip_moves_no_joint_that_follows(tmp_path):
     file = tmp_path / "follows.urdf"
     links = "".join(f'<link name="l{i}"/>' for i in range(4))
