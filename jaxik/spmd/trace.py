@@ -295,6 +295,8 @@ class _Digest:
             content.update(self.of(value))
         elif isinstance(value, Jaxpr):
             content.update(self.jaxpr(value))
+        elif isinstance(value, Traced):  # of a kernel in it; its `repr` has a part of that
+            content.update(value.digest.encode())
         elif isinstance(value, np.ndarray | np.generic | jax.Array) or (
             aval is not None and isinstance(value, int | float | bool)
         ):
