@@ -399,10 +399,10 @@ SCATTERS = {
 }
 
 
-@pytest.mark.parametrize("mode", [lax.GatherScatterMode.CLIP, lax.GatherScatterMode.FILL_OR_DROP])
+@pytest.mark.parametrize("mode", [getattr(lax.GatherScatterMode, m) for m in ("CLIP", "FILL_OR_DROP", "PROMISE_IN_BOUNDS")])
 @pytest.mark.parametrize("length", [5, 100])
 def test_windows_over_the_edge(length, mode):
-    """A window that does not fit is moved, or dropped, as a whole."""
+    """A window that does not fit is moved, or dropped, as a whole; where none was promised, XLA drops what is written."""
     into = lax.ScatterDimensionNumbers((0,), (), (0,))
     out_of = lax.GatherDimensionNumbers((0,), (), (0,))
 
@@ -425,9 +425,28 @@ def test_windows_over_the_edge(length, mode):
         same(f, [written(*each, operation) for each in zip(x, places, strict=True)])
     for f, k in zip(found[6:], (-2, 1, length - 1), strict=False):
         same(f, [written(row, k, SCATTERS[lax.scatter]) for row in x])
-    fits = (places >= 0) & (places <= length - 3) | (mode == lax.GatherScatterMode.CLIP)
+    fits = (places >= 0) & (places <= length - 3) | (mode != lax.GatherScatterMode.FILL_OR_DROP)
     at = np.clip(places, 0, length - 3)[:, None] + np.arange(3)
     same(found[9], np.where(fits[:, None], np.take_along_axis(x, at, 1), np.float32(np.nan)))
+
+
+@pytest.mark.parametrize("least", [True, False])
+def test_the_slope_of_what_is_dropped(least):
+    """JAX writes NaN beyond the array there, and promises that it is inside."""
+    join = lambda spot, value: spot.min(value) if least else spot.max(value)
+    slope = jax.grad(lambda x, i: jnp.sum(join(x.at[i], x[2]) * jnp.arange(1.0, 6.0)))
+    x, i = np.tile([1.0, 1.0, -0.5, 0.0, -1.0], (3, 1)), np.array([5, 1, -7])
+    same(lanes(slope, x, i), np.asarray(jax.vmap(slope)(x, i)))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_powers_far_below_the_range(dtype):
+    """e**-1050 was 3e-305, since what its power of two is clamped to is too large for it. Denormal numbers count as 0."""
+    x = np.concatenate([np.linspace(-90, -200, 500), np.linspace(-709, -1200, 2000), [-1e30, -np.inf]])[::2].astype(dtype)
+    low = x < np.log(np.finfo(dtype).tiny)
+    exact = np.where(low, 0.0, np.exp(x.astype(np.float64)))
+    np.testing.assert_allclose(lanes(jnp.exp, x), exact, rtol=1e-5 if dtype == np.float32 else 1e-15, atol=0)
+    same(lanes(jnp.expm1, x), np.full_like(x, -1.0))
 
 
 def test_a_function_applied_at_an_index():

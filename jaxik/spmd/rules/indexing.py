@@ -216,7 +216,7 @@ def _scatter(s: Scalariser, eqn: Any, x: Array, indices: Array, updates: Array) 
     sizes = [1] * len(x.shape)
     for k, axis in zip(d.update_window_dims, window_axes, strict=True):
         sizes[axis] = new.shape[k]
-    drops = mode in (jax.lax.GatherScatterMode.FILL_OR_DROP, None)
+    drops = mode != jax.lax.GatherScatterMode.CLIP  # promises, too: JAX's own derivatives break theirs where XLA drops
     spots = []
     for place in np.ndindex(*new.shape):
         batch = tuple(place[k] for k in scatter_axes)
