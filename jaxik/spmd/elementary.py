@@ -84,7 +84,7 @@ def _exponential(x: Any, shift: float) -> Any:
         near = jnp.abs(k) <= (20 if size == 4 else 45)
         value = jnp.where(near, small * whole + (whole - 1), value)
     value = jnp.where(x > kind(highest), kind(np.inf), value)
-    value = jnp.where(x < kind(-highest - 30), kind(shift), value)
+    value = jnp.where(x < kind(-110.0 if size == 4 else -750.0), kind(shift), value)  # before k is clamped
     return jnp.where(x != x, x, value)
 
 
