@@ -32,6 +32,8 @@ TYPES = {
 }
 DTYPES = {name: dtype for dtype, name in TYPES.items()}
 FLOATS = ("float", "double")
+MOST = 200_000  # operations of a program: beyond, compilers take minutes
+ROOM = 2**22  # numbers of an array that each lane writes to: half a gigabyte of them for sixteen lanes
 
 
 def limits(dtype: np.dtype[Any]) -> tuple[Any, Any]:
@@ -215,6 +217,8 @@ class Program:
         """The operation at the end of a block, whether or not there is one like it."""
         level = len(self.blocks) - 1 if level < 0 else level
         value = len(self.ops)
+        if value >= MOST:
+            raise Unsupported(f"more than {MOST} operations")
         self.ops.append(op)
         self.depth.append(level)
         self.blocks[level].body.append(value)
@@ -235,6 +239,8 @@ class Program:
 
     def room(self, type: str, size: int) -> Memory:
         """Scratch of a lane, uninitialised."""
+        if size > ROOM:
+            raise Unsupported(f"an array of {size:,} numbers a lane that is written to; at most {ROOM:,}")
         self.scratch.append((type, size))
         return Memory("scratch", len(self.scratch) - 1, type, size)
 

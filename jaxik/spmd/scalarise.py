@@ -24,7 +24,6 @@ from jaxik.spmd.trace import TEAM_SIZE, Traced
 UNROLLED = 64  # operations of a scan's turns together, up to which it is written out
 FLAT = 32  # operations of both sides, up to which a branch is a selection
 CHOICES = 4  # entries, up to which a computed index selects instead of reading memory
-MOST = 200_000  # operations of a program: beyond, compilers take minutes
 LARGEST = 16_384  # entries of an array whose every entry is a value
 KEPT = 256  # entries of an array, beyond which a loop keeps it in memory and writes there in place
 
@@ -127,8 +126,6 @@ class Scalariser:
             except Unsupported as error:
                 error.equations.append(eqn)
                 raise
-            if len(self.program.ops) > MOST:
-                raise Unsupported(f"more than {MOST} operations")
             if not eqn.primitive.multiple_results:
                 results = [results]
             avals: list[Any] = [v.aval for v in eqn.outvars]

@@ -21,6 +21,9 @@ from jax.experimental import io_callback
 import jaxik
 from jaxik import spmd
 from jaxik.spmd import cache, call
+from jaxik.spmd.program import Memory, Program
+from jaxik.spmd.scalarise import Array, Scalariser
+from jaxik.spmd.trace import Traced
 
 
 def arm(q, lengths):
@@ -408,6 +411,22 @@ def test_what_it_cannot_do_goes_to_xla(name):
         jax.jit(jax.vmap(spmd.kernel(function)))(Q[:3])
 
 
+@pytest.mark.parametrize(
+    "limit, function, words",
+    [
+        ("MOST", lambda q: jnp.outer(q, q) @ jnp.outer(q + 1.0, q + 2.0), "more than 100 operations"),
+        ("ROOM", lambda q: lax.scan(lambda c, _: (c + 1.0, c), q, length=500), "2,000 numbers a lane .*; at most 100"),
+    ],
+)
+def test_what_grows_too_large_is_refused_as_it_grows(monkeypatch, limit, function, words):
+    monkeypatch.setattr(f"jaxik.spmd.program.{limit}", 100)
+    program = Program()
+    with pytest.raises(spmd.Unsupported, match=words):
+        operand = Array(np.arange(4), "double", Memory("operand", 0, "double", 4))
+        Scalariser(program).traced(Traced(jax.make_jaxpr(function)(Q[0])), [operand])
+    assert len(program.ops) <= 102  # constants do not count on the way
+
+
 @pytest.mark.kernels(reason="without any, the one warning names no function")
 def test_a_derivative_is_called_that_of_its_function():
     def smallest(q):
@@ -415,6 +434,21 @@ def test_a_derivative_is_called_that_of_its_function():
 
     with pytest.warns(UserWarning, match="the derivative of smallest runs by XLA: a kernel cannot do the primitive 'sort'"):
         close(jax.grad(spmd.kernel(smallest))(Q[0]), jax.grad(smallest)(jnp.asarray(Q[0])))
+
+
+def test_what_a_kernel_in_it_computes_is_told_by_all_of_it():
+    """The first 32 bits of the two inner ones' names agree, and the second outer one was taken for the first."""
+
+    def outer(numbers):
+        def inner(x):
+            return jnp.sum(np.array(numbers, np.float32) * x)
+
+        within = spmd.kernel(inner)
+        return spmd.kernel(lambda x: within(x) + 1.0)
+
+    x = jnp.tile(jnp.array([1.0, 3.0], jnp.float32), (4, 1))
+    for numbers in ([909, 81], [834, 82]):
+        assert jax.jit(jax.vmap(outer(numbers)))(x).tolist() == 4 * [numbers[0] + 3.0 * numbers[1] + 1.0]
 
 
 def test_without_llvmlite(monkeypatch):

@@ -11,11 +11,11 @@ import numpy as np
 from jax.extend.core import Jaxpr, Literal
 
 from jaxik.spmd.jax_version import scanned
+from jaxik.spmd.program import MOST
 from jaxik.spmd.scalarise import (
     FLAT,
     KEPT,
     LARGEST,
-    MOST,
     UNROLLED,
     Array,
     Computed,
