@@ -8,7 +8,6 @@ is answered here has the same bits as there.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -40,12 +39,7 @@ def is_direct(problem: Problem) -> bool:
         return False
     if problem.strategy == "near":
         return True
-    return problem.reference is None and (problem.strategy != "closed_form" or has_branches(problem))
-
-
-def has_branches(problem: Problem) -> bool:
-    """Whether a direct problem is answered by its closed form."""
-    return (problem.scene is None or problem.alone) and enumerable(blind(problem))
+    return problem.reference is None and (problem.strategy != "closed_form" or enumerable(problem))
 
 
 class Direct:
@@ -107,11 +101,6 @@ class Direct:
                 self._late = _seed_search(*asked).bound(())
 
 
-def blind(problem: Problem) -> Problem:
-    """The problem with nothing to hit."""
-    return problem if problem.scene is None else dataclasses.replace(problem, scene=None)
-
-
 def _solved_in(problem: Problem) -> Any:
     """The robot, its surroundings and the margin of an answer, by which it may be explained."""
     around = problem.scene
@@ -143,8 +132,8 @@ def is_compiled(problem: Problem) -> bool:
 
 def _program(problem: Problem) -> tuple[HostKernel, tuple[Any, ...], bool]:
     """The program that answers targets, an example of what it is given, and whether it goes through branches."""
-    if has_branches(problem):
-        values = points(blind(problem))
+    if enumerable(problem):
+        values = points(problem)
         target = problem.poses[:1], problem.tolerance[:1]
         if problem.scene is None:
             return first_answers(problem.robot), (*target, np.zeros(1, np.int32), values, np.bool_(False)), True

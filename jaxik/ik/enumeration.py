@@ -1,11 +1,12 @@
-"""Answers without a search: where a target is a pose, and no obstacle is near, they are branches of the closed form.
+"""Answers without a search: where a target is a pose, they are branches of the closed form.
 
-Six joints have no answers but its up to eight branches; homotopy finds all answers of six joints of no family. Where it is
-given values (a rail, a last joint), points of a sequence over their ranges are tried, and the best branches are improved at
-points nearby. Left to the search are
+Six joints have no answers but its up to eight branches, and among obstacles the first of these that is clear will do; homotopy
+finds all answers of six joints of no family. Where it is given values (a rail, a last joint), points of a sequence over their
+ranges are tried, and the best branches are improved at points nearby. Left to the search are
 
 - targets without an answer at these points;
 - the answer nearest to a reference: a descent from the reference is as fast, and over two given values ends nearer;
+- of what is given a value, all among obstacles;
 - any one answer over two given values, or of six joints of no family, which the search finds sooner.
 """
 
@@ -35,10 +36,13 @@ ZOOMS, ZOOMED, NARROWER = 3, 8, 0.3  # rounds of points near an answer's own, po
 
 
 def enumerable(problem: Problem) -> bool:
-    """Whether the closed form answers the problem: poses, without obstacles, a cost, or seeds of another kind, and no joint
-    locked but those that it is given; with six joints of no family, whether more than one answer is asked for, none locked."""
+    """Whether the closed form answers the problem: poses, without a cost, or seeds of another kind, and no joint locked but
+    those that it is given; among obstacles, whether it has six joints and any one answer will do; with six joints of no family,
+    whether more than one answer is asked for, none locked."""
     options, robot, wanted = problem.options, problem.robot, problem.options.seeds == "closed_form"
-    if (problem.scene is not None and not problem.alone) or problem.costly or not (wanted or options.seeds == "auto"):
+    if problem.costly or not (wanted or options.seeds == "auto"):
+        return False
+    if problem.among_obstacles and not (problem.first_will_do and robot.num_joints == 6):
         return False
     if problem.tasks.stacked or (not wanted and not problem.tasks.each[0].whole):
         return False

@@ -116,7 +116,7 @@ def searched_for(problem: Problem, valid: np.ndarray, stuck: Found | None = None
         known = enumerated(problem, np.flatnonzero(reason == OPEN))
         reason[known.target] = SOLVED
         known = known if problem.reference is None else at_home(problem, known)  # else branches are at home
-        if not problem.alone and _is_known(problem):
+        if problem.scene is None and _is_known(problem):
             problem, stages = _of_the_rest(problem)
         else:
             late = leftovers.answered(problem, np.flatnonzero(reason == OPEN))

@@ -256,7 +256,12 @@ class Problem:
     @property
     def alone(self) -> bool:
         """Whether the robot can hit nothing but itself."""
-        return self.scene is not None and not obstacles_in(self.scene)
+        return self.scene is not None and not self.among_obstacles
+
+    @property
+    def among_obstacles(self) -> bool:
+        """Whether there is something around the robot that it can hit."""
+        return self.scene is not None and bool(obstacles_in(self.scene))
 
     @property
     def near(self) -> int:

@@ -16,8 +16,8 @@ from jaxik.checks.options import check_kind
 from jaxik.collision.scene import Scene
 from jaxik.ik import seeds
 from jaxik.ik.branch_search import NOBODY, first_answer, first_clear_answer
-from jaxik.ik.direct import blind, has_branches, is_direct
-from jaxik.ik.enumeration import points
+from jaxik.ik.direct import is_direct
+from jaxik.ik.enumeration import enumerable, points
 from jaxik.ik.multistart import bound_slack
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import Poses, Problem, rigid_pose
@@ -81,7 +81,7 @@ def ik_search(
     if not is_direct(problem):
         mend = "leave out cost, solutions, choice, nearest and regions, and give max_seeds a multiple of 16, 128 or more"
         raise ValueError(f"ik_search: options that ask for more than the first answer; {mend}")
-    branches = _branches(problem) if has_branches(problem) else None
+    branches = _branches(problem) if enumerable(problem) else None
     # tables of postures are 120 kB: behind branches they answered two more of 60,000 poses at edges of ranges
     (target, shared), setup = seed_rows(problem, problem.options.max_seeds, ends=True, library=0 if branches else seeds.SETS)
 
@@ -114,7 +114,7 @@ def _has_no_derivative(*_: Any) -> Any:
 
 def _branches(problem: Problem) -> Callable[[Any, Any], Answer]:
     """The search among branches, as a function of a pose and its tolerances."""
-    values, robot = points(blind(problem)), problem.robot
+    values, robot = points(problem), problem.robot
 
     def search(pose: Any, tolerance: Any) -> Answer:
         if problem.scene is None:

@@ -61,6 +61,7 @@ CASES = {
     "clear of itself": ("panda", {}),
     "clear of itself, from seeds": ("ur5e", {"seeds": "library", "margin": 0.01}),
     "clear of a scene": ("panda", {"scene": BALLS, "margin": 0.02}),
+    "clear of a scene, by the closed form": ("ur5e", {"scene": BALLS, "margin": 0.02}),
 }
 
 
@@ -88,6 +89,21 @@ def test_answers_have_their_poses(panda):
         found = solver(target)
         assert found and max(pose_errors(pose(found.q), target)) <= 1e-6 + 1e-9
         assert np.all(found.q >= panda.lower) and np.all(found.q <= panda.upper)
+
+
+def test_the_first_branch_that_is_clear():
+    """Six joints among obstacles have an answer where one of all branches is clear, and by Pinocchio it has the pose."""
+    robot, world = jaxik.load("ur5e"), jaxik.make_scene(boxes=[[0.5, 0.1, 0.3, 0.3, 0.5, 0.6]], spheres=BALLS)
+    _, targets = poses(robot, 150, seed=11)
+    found = jaxik.solve_ik(robot, targets, scene=world, margin=0.01)
+    every = jaxik.solve_ik(robot, targets, collision=False, solutions="all")
+    pose, apart = pinocchio(robot), jax.vmap(jax.vmap(lambda q: jaxik.clearance(robot, world, q)))
+    has = np.any(np.asarray(apart(every.solutions)) >= 0.01, axis=1)
+    np.testing.assert_array_equal(found.success, has)
+    assert 30 < has.sum() < 140
+    for row, target in zip(found[found.success], targets[found.success], strict=True):
+        assert row.iterations == 0 and max(pose_errors(pose(row.q), target)) <= 1e-9
+        assert jaxik.clearance(robot, world, row.q) >= 0.01 and np.all((robot.lower <= row.q) & (row.q <= robot.upper))
 
 
 def test_who_writes_into_a_result_changes_no_other(panda):
