@@ -57,9 +57,8 @@ class BaseArguments(FLAGS, SearchArguments):
         check_writable(self.out, endings=(".csv", ".npz"))
         if self.plot is not None:
             check_writable(self.plot, "--plot", (".png",))
-        robot = jaxik.load(self.robot, **self.loading())
-        scene = self.around()
-        targets = jaxik.load_targets(self.targets)
+        scene, targets = self.around(), jaxik.load_targets(self.targets)
+        robot = jaxik.load(self.robot, **self.loading())  # at last: its meshes may take a while
         if self.task and self.free:
             raise ValueError("--task says what --free does; write --task 'pose free yaw'")
         free = (*self.free, *(TURNS if targets.ndim == 2 else ()))  # a position says nothing of rotation

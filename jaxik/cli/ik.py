@@ -17,6 +17,7 @@ from jaxik.checks.options import check_seed, optional
 from jaxik.cli.arguments import SearchArguments, flags, given, task_flag
 from jaxik.cli.results import UNITS, check_writable, offenders, write_csv, writing
 from jaxik.cli.terminal import STOPPED, Patience, progress_bar
+from jaxik.files.documents import opened
 from jaxik.ik.problem import FAULTS
 from jaxik.ik.sqp_programs import solve_errors
 from jaxik.kinematics.task import TURNS
@@ -76,8 +77,10 @@ class IKArguments(FLAGS, SearchArguments):
         if self.out.suffix.lower() == ".parquet":
             optional("--out: .parquet", "pyarrow", "parquet")  # before the work, not after
         check_seed("solve_ik", self.seed)
-        robot = jaxik.load(self.robot, **self.loading())
         scene = self.around()
+        with opened(self.targets):  # before the robot, whose meshes may take a while, and whose tips their columns are of
+            pass
+        robot = jaxik.load(self.robot, **self.loading())
         task, tips = self._task(robot)
         targets = jaxik.load_targets(self.targets, tips=tips)
         if task is None:  # a position says nothing of rotation

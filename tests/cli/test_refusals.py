@@ -42,6 +42,10 @@ def refused(tmp_path, monkeypatch, capsys):
     [
         ("ik ur5e t.csv --position-tolerance nan", "position_tolerance nan, rotation_tolerance 1e-06; both are > 0 [m, rad]"),
         ("ik ur5e t.csv --rotation-tolerance 0", "both are > 0"),
+        ("ik absent.urdf absent.csv", "jaxik: absent.csv: file: cannot be read"),  # before the robot
+        ("base absent.urdf absent.csv --x 0 1 2 --y 0 1 2", "jaxik: absent.csv: file: cannot be read"),
+        ("path absent.urdf absent.csv", "jaxik: absent.csv: file: cannot be read"),
+        ("plan absent.urdf --start 0 --goal 1 --scene absent.toml", "jaxik: absent.toml: file: cannot be read"),
         ("ik ur5e t.csv --cloud-radius 0.02", "--cloud-radius is 0.02, and there are no points; give them by --cloud"),
         ("ik ur5e t.csv --margin inf", "margin is inf; it is a finite number"),
         ("ik ur5e t.csv --seed -1", "seed is -1; it is a whole number of at least 0"),
