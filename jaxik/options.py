@@ -176,6 +176,7 @@ class Options:
     `who` asks in its messages: the function that takes it. With `eq=False` an object equals itself alone, and has a hash."""
 
     who: ClassVar[str] = "options"
+    others: ClassVar[tuple[str, ...]] = ()  # keywords of the function that are no options, and may be meant
     _kept: ClassVar[dict[str, Callable[[str, str, Any], Any]]] = {}
 
     def __init_subclass__(cls, who: str = "", eq: bool = True, **kwargs: Any) -> None:
@@ -197,7 +198,7 @@ class Options:
         """The options with fields changed by name. Raises `ValueError` for a name that is no field's."""
         for name in changes:
             if name not in self._kept:
-                raise ValueError(f"{self.who}: unknown option '{shown(name)}'; {among(name, list(self._kept))}")
+                raise ValueError(f"{self.who}: unknown option '{shown(name)}'; {among(name, [*self._kept, *self.others])}")
         if not changes:
             return self
         made = object.__new__(type(self))

@@ -41,6 +41,7 @@ APART = "leave out pairs that touch by design: ignore=, srdf= (--ignore, --srdf)
 class LoadOptions(Options, who="load"):
     """How a robot's file is read. Raises `ValueError` for `fit`, `pairs` or `exact` without `meshes`."""
 
+    others = ("tip", "base")
     tool: Any = anything(default=None, unit="m", words="tip_T_tool (4, 4): moves the tip")
     meshes: Any = flag(
         default=False,

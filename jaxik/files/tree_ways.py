@@ -85,13 +85,14 @@ def ways_of(
 
 
 def _only_leaf(file: Path, names: Sequence[str], above: Mapping[str, str], one: str, fingers: Collection[str]) -> str:
-    leaves = sorted(set(names) - set(above.values()))
+    leaves, many = sorted(set(names) - set(above.values())), {"link": "links", "body": "bodies"}[one]
+    if not names:
+        raise LoadError(file, "document", f"has no {many}", "name a robot's file")
     if len(leaves) > 1 and fingers:  # without fingers, what carries them may be the leaf
         kept = [name for name in names if name not in fingers]
         leaves = sorted(set(kept) - {above[name] for name in kept if name in above})
     if len(leaves) == 1:
         return leaves[0]
-    many = {"link": "links", "body": "bodies"}[one]
     choice = f"one of, or a list: {listed(leaves, LEAVES)}" if leaves else f"the {many} form a loop"
     raise LoadError(file, "tip", f"is not given and the tree has {len(leaves)} leaves", f"pass tip= (--tip), {choice}")
 

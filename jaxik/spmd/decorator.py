@@ -83,7 +83,10 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
         shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=w) for x, w in zip(operands, weak, strict=True)]
         width, kinds = jnp.result_type(float), tuple(map(type, numbers))  # 1, 1.0 and True are equal
         key = None if moving else (fixed, kinds, tree, tuple((x.shape, x.dtype, x.weak_type) for x in shapes), width)
-        found = known.get(key)
+        try:
+            found = known.get(key)
+        except TypeError:  # what has no hash is no model
+            return function(*args, **named)
         if found is None:
             name = getattr(function, "__name__", "a function")
             with contextlib.suppress(TypeError, ValueError):

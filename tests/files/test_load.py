@@ -179,6 +179,9 @@ def test_base_and_tip_are_found_or_refused(tmp_path):
     forked = URDF.replace("</robot>", '<link name="camera"/><joint name="c" type="fixed"><parent link="upper"/>'
                           '<child link="camera"/></joint></robot>')  # fmt: skip
     refused(write(tmp_path, "forked.urdf", forked), "2 leaves", "camera, tool")
+    refused(write(tmp_path, "empty.urdf", '<robot name="empty"/>'), "has no links; name a robot's file")
+    with pytest.raises(ValueError, match=r"load: unknown option 'tips'; did you mean 'tip'\?"):
+        jaxik.load(tmp_path / "forked.urdf", tips="camera")
     refused(tmp_path / "absent.urdf", "cannot be read")
     refused(write(tmp_path, "arm.sdf", URDF), "ending '.sdf'", ".urdf")
     with pytest.raises(jaxik.LoadError, match="shipped: chembuly9"):

@@ -121,6 +121,13 @@ def test_what_is_no_robot_is_refused():
             made("panda")
 
 
+@pytest.mark.usefixtures("untyped")
+@pytest.mark.parametrize("function", [jaxik.forward_kinematics, jaxik.dynamics.mass_matrix])
+def test_a_robot_in_the_wrong_place_is_refused(function):
+    with pytest.raises(ValueError, match=r"robot is \[0. 0. 0. 0. 0. 0. 0.\]; write a jaxik.Robot"):
+        function(np.zeros(7), jaxik.load("panda"))
+
+
 def test_a_solver_tells_what_it_is_for(panda, world):
     assert repr(jaxik.Solver(panda, scene=world)).startswith("Solver(Robot panda")
 
