@@ -28,15 +28,15 @@ class Semantics(NamedTuple):
 
     def of(self, robot: Robot, notes: Notes) -> tuple[tuple[Group, ...], tuple[State, ...]]:
         """The groups and states of a robot's own joints. Links are those of its file, which `notes` has; it has none of a robot
-        that was saved, whose own they are then. Tells of links in the groups that are not there."""
+        that was saved, whose own they are then. Tells of links that are not there, in groups that have others."""
         assert self.path is not None
         own = lambda names: tuple(name for name in robot.joint_names if name in names)
         ways = {link: _way(link, notes.above) for link in notes.links} or _ways_of(robot)
-        named = [part.get(key, "") for group in self.groups.values() for part in group for key in LINKS.get(part.tag, ())]
-        if strangers := [*dict.fromkeys(name for name in named if name and name not in ways)]:
-            notes.add(
-                f"groups of {self.path.name} name these links, which the file has not: their joints are missing", *strangers
-            )
+        for name, group in self.groups.items():
+            links = dict.fromkeys(part.get(key, "") for part in group for key in LINKS.get(part.tag, ()))
+            strangers = [link for link in links if link not in ways]
+            if 0 < len(strangers) < len(links):
+                notes.add(f"group '{name}' of {self.path.name} names these links, which the file has not", *strangers)
         groups = [Group(name, own(self._joints(name, ways, ()))) for name in self.groups]
         return tuple(group for group in groups if group.joints), tuple(self._state(each, robot) for each in self.states)
 

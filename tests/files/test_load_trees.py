@@ -479,7 +479,7 @@ def test_a_group_between_two_links(two, kind, tmp_path):
                 for each, link in zip(robot.joint_names, on, strict=True)]  # fmt: skip
         head = ['name = "two"', 'description = "two arms"', 'convention = "frames"']
         path = write(tmp_path, "rows.toml", "\n".join([*head, *rows]))
-    with pytest.warns(UserWarning, match=r"world: groups of chains\.srdf name these links, which the file has not"):
+    with pytest.warns(UserWarning, match=r"world: group 'absent' of chains\.srdf names these links, which the file has not"):
         robot = jaxik.load(path, srdf=srdf, **options)
     assert {group.name: group.joints for group in robot.groups} == THEIRS
 
