@@ -90,7 +90,7 @@ def _way(link: str, above: Mapping[str, tuple[str, str]]) -> tuple[str, ...]:
 
 
 def _ways_of(robot: Robot) -> dict[str, tuple[str, ...]]:
-    """Of each link the joints that move it, the nearest first."""
+    """Lists for each link the joints that move it, the nearest first."""
     way = lambda number: tuple(robot.joint_names[robot.tree.joints[row]] for row in reversed(robot.tree.way(number)))
     return {name: way(number) for name, number in zip(robot.link_names, robot.link_joint, strict=True)}
 

@@ -130,7 +130,7 @@ def test_bad_use_is_one_line(scene, use, words):
 
 
 def test_a_room_moves_with_the_tip_that_it_was_made_with(tmp_path):
-    """What one hand takes did, at the place where the other's frame would have it."""
+    """The other hand's frame once said where it lies, and this one moved it."""
     two = jaxik.load(write(tmp_path, "two.urdf", TWO), tip=HANDS, held={})
     q, other = np.array([0.3, -0.4, 0.5, 0.6, -0.7]), np.array([-0.2, 0.3, 0.1, 0.5, 0.4])
     cup = np.asarray(jaxik.forward_kinematics(two, q))[0, :3, 3] + [0.1, 0.0, 0.05]
