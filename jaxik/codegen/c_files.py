@@ -16,9 +16,8 @@ ULP = 4  # units in the last place that other instructions may round otherwise
 def cmake_lists(name: str, functions: Sequence[Function]) -> str:
     """The text of `CMakeLists.txt`: an imported library, and, if it is nobody's part, the example and the test."""
     needs = any(each.calls for each in functions)
-    return f"""# The library of {name} for CMake. In another project: add_subdirectory({name}), target_link_libraries(yours {
-        name
-    }).
+    return f"""# The library of {name} for CMake. Made by jaxik.
+# In another project: add_subdirectory({name}), target_link_libraries(yours {name}).
 cmake_minimum_required(VERSION 3.16)
 project({name}_exported C)
 
@@ -45,8 +44,9 @@ endif()
 
 def example(name: str, samples: Sequence[Sampled]) -> str:
     """The text of `main.c`: one call of each function, and what it returns."""
-    lines = [f"/* One call of each function of {name}. */", "#include <stdio.h>", f'#include "{name}.h"', ""]
-    lines += [_SHOW, "int main(void) {"]
+    lines = [f"/* One call of each function of {name}. Made by jaxik. */", "#include <stdio.h>", f'#include "{name}.h"', ""]
+    kind = "double" if any(f.kind == "double" for each in samples for f in each.function.results) else "float"
+    lines += [_SHOW.replace("REAL", kind), "int main(void) {"]
     for each in samples:
         function = each.function
         lines.append("  {")
@@ -62,13 +62,13 @@ def example(name: str, samples: Sequence[Sampled]) -> str:
             if f.kind in _FLOATS
         ]
         lines.append("  }")
-    kind = "double" if any(f.kind == "double" for each in samples for f in each.function.results) else "float"
-    return "\n".join([*lines, "  return 0;", "}", ""]).replace("REAL", kind)
+    return "\n".join([*lines, "  return 0;", "}", ""])
 
 
 def test(name: str, samples: Sequence[Sampled]) -> str:
     """The text of `test.c`: samples of each function, one by one and as a batch, beside what jaxik computed at export."""
-    lines = [f"/* The functions of {name} beside numbers that were computed when they were exported. */"]
+    kind, bits = ("double", "64") if any(f.kind == "double" for s in samples for f in s.function.results) else ("float", "32")
+    lines = [f"/* The functions of {name} beside numbers that were computed when they were exported. Made by jaxik. */"]
     lines += [
         "#include <math.h>",
         "#include <stdint.h>",
@@ -76,7 +76,7 @@ def test(name: str, samples: Sequence[Sampled]) -> str:
         "#include <string.h>",
         f'#include "{name}.h"',
         "",
-        _CHECKS,
+        _CHECKS.replace("REAL", kind).replace("BITS", bits),
     ]
     lines += [line for each in samples for line in _data(each)]
     lines += ["int main(void) {"]
@@ -87,8 +87,7 @@ def test(name: str, samples: Sequence[Sampled]) -> str:
         "}",
         "",
     ]
-    kind, bits = ("double", "64") if any(f.kind == "double" for s in samples for f in s.function.results) else ("float", "32")
-    return "\n".join(lines).replace("REAL", kind).replace("BITS", bits)
+    return "\n".join(lines)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -151,9 +150,8 @@ def _number(field: Field) -> Any:
     if field.kind not in _FLOATS:
         return lambda x: str(int(x))
     end = "f" if field.kind == "float" else ""
-    return lambda x: (
-        f"{float(x).hex()}{end}" if np.isfinite(x) else ("(REAL)NAN" if x != x else f"{'-' * (x < 0)}(REAL)INFINITY")
-    )
+    odd = lambda x: f"({field.type})NAN" if x != x else f"{'-' * (x < 0)}({field.type})INFINITY"
+    return lambda x: f"{float(x).hex()}{end}" if np.isfinite(x) else odd(x)
 
 
 def _given(function: Function) -> str:

@@ -85,9 +85,9 @@ def function_of(
     wanted, words = target(target_name), words or {}
     check_name(name)
     fields, leaves, tree = _arguments(function, signature, name, double)
-    unknown = [each for each in shared if each not in {path.partition("_")[0] for path, _ in fields} | {p for p, _ in fields}]
-    if unknown:
-        raise ValueError(f"export: {name}: shared {unknown[0]!r} is no argument; choose of {', '.join(p for p, _ in fields)}")
+    known = [*dict.fromkeys(word for names, _ in fields for word in names)]
+    if unknown := [each for each in shared if each not in known]:
+        raise ValueError(f"export: {name}: shared {unknown[0]!r} is no argument; choose of {', '.join(known)}")
     with refused(name), jax.enable_x64(double):
         given = lambda *x: function(*jax.tree_util.tree_unflatten(tree, x))
         traced, out_tree, more = trace(given, leaves)
@@ -95,8 +95,10 @@ def function_of(
             scalarised(traced)  # says which
             raise Unsupported("an effect, such as a print")
         program = scalarised(traced, [np.asarray(x) for x in more])
-    is_shared = lambda path: path in shared or any(path.startswith(f"{each}_") for each in shared)
-    arguments = tuple(Field(path, type_of(x), x.shape, words.get(path, ""), is_shared(path)) for path, x in fields)
+    arguments = tuple(
+        Field(path, type_of(x), x.shape, words.get(path, ""), not {argument, path}.isdisjoint(shared))
+        for (argument, path), x in fields
+    )
     named = _results(out_tree, results, name)
     outputs = tuple(Field(n, type_of(a), a.shape, words.get(n, "")) for n, a in zip(named, traced.outputs, strict=True))
     twice = [n for n in (f.name for f in (*arguments, *outputs)) if [f.name for f in (*arguments, *outputs)].count(n) > 1]
@@ -109,7 +111,7 @@ def function_of(
         made = entries(name, program, [f.row for f in arguments], [f.row for f in outputs], wanted)
     image = machine.compiled(made.text, target=wanted, thorough=True)
     calls = tuple(library_calls(image))
-    return Function(name, words.get("", ""), arguments, outputs, target_name, made.workspace, calls, image)
+    return Function(name, words.get(name, ""), arguments, outputs, target_name, made.workspace, calls, image)
 
 
 def _check_words(name: str, words: Mapping[str, str], fields: Sequence[Field]) -> None:
@@ -121,8 +123,8 @@ def _check_words(name: str, words: Mapping[str, str], fields: Sequence[Field]) -
 
 def _arguments(
     function: Callable[..., Any], signature: Sequence[Any], name: str, double: bool
-) -> tuple[list[tuple[str, Any]], list[Any], Any]:
-    """The arrays of a signature with their names, alone, and their tree."""
+) -> tuple[list[tuple[tuple[str, str], Any]], list[Any], Any]:
+    """The arrays of a signature, each with its argument's name and its own; these alone; and their tree."""
     if not isinstance(signature, tuple | list):
         raise ValueError(f"export: {name}: signature is a {type(signature).__name__}; write a tuple with an entry an argument")
     try:
@@ -134,7 +136,7 @@ def _arguments(
         names = [f"x{k}" for k in range(len(signature))]
     names += [f"{names[-1]}{k}" for k in range(1, 1 + len(signature) - len(names))]  # of a function of any number
     found, tree = jax.tree_util.tree_flatten_with_path(tuple(signature))
-    fields = [(_path(names, path), _array(name, x, double)) for path, x in found]
+    fields = [((names[path[0].idx], _path(names, path)), _array(name, x, double)) for path, x in found]
     return fields, [x for _, x in fields], tree
 
 

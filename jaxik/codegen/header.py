@@ -19,7 +19,7 @@ def header(name: str, functions: Sequence[Function], words: str = "") -> str:
     """The text of `NAME.h`."""
     guard = f"{name.upper()}_H"
     lines = [
-        _comment(
+        comment(
             [
                 *([words] if words else []),
                 f"Made by jaxik {__version__} for {_target(functions)}.",
@@ -62,11 +62,11 @@ def _declared(function: Function) -> list[str]:
     """The declarations of both functions, below what they do."""
     told = [f"{function.name}: {function.words}"] if function.words else [f"{function.name}"]
     told += [_told(f, "in") for f in function.arguments] + [_told(f, "out") for f in function.results]
-    lines = [_comment(told)]
+    lines = [comment(told)]
     if function.workspace:
         macro = f"{function.name.upper()}_WORKSPACE"
         lines += [
-            _comment([f"workspace: {macro} bytes, aligned to 64, of which each thread has its own."]),
+            comment([f"workspace: {macro} bytes, aligned to 64, of which each thread has its own."]),
             f"#define {macro} {function.workspace}",
         ]
     taken = [f"const {f.type} *{f.name}" for f in function.arguments] + [f"{f.type} *{f.name}" for f in function.results]
@@ -87,7 +87,7 @@ def _wrapped(begin: str, parts: Sequence[str]) -> str:
     return line if len(line) <= WIDTH else f"{begin}\n    " + ",\n    ".join(parts) + ");"
 
 
-def _comment(paragraphs: Sequence[str]) -> str:
+def comment(paragraphs: Sequence[str]) -> str:
     """A comment, a paragraph a line or more."""
     fill = lambda text: textwrap.wrap(
         text,
@@ -96,5 +96,5 @@ def _comment(paragraphs: Sequence[str]) -> str:
         subsequent_indent="    " if text.startswith(" ") else "",
     )
     lines = [line for each in paragraphs for line in fill(each.strip() if not each.startswith(" ") else each)]
-    lines = [line.replace("*/", "* /") for line in lines]  # the end of a comment, in words that a user wrote
+    lines = [line.replace("*/", "* /").replace("/*", "/ *") for line in lines]  # of a comment, in words that a user wrote
     return "\n".join(["/*", *(f" * {line}".rstrip() for line in lines), " */"])

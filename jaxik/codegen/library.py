@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import tempfile
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxik import platforms
 from jaxik.codegen.archive import Member, archive
 from jaxik.codegen.functions import Function, function_of
 from jaxik.codegen.header import header
 from jaxik.codegen.names import check_name
 from jaxik.codegen.python_loader import linked, loader
 from jaxik.codegen.webassembly import javascript, module
+
+MADE = b"made by jaxik"  # in each text, in small letters: what an export may write over
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,8 +65,9 @@ def export(
     the bits of `jaxik.kernel` on the same processor.
 
     Raises `ValueError`, in one line, for what a kernel cannot do, with the operation and its place in the source; for an
-    unknown target, a signature that does not fit, names that C has not free, words of what is not there, and a path that is a
-    file; where a linker is missing, and for a module of Python for another processor than this one.
+    unknown target, a signature that does not fit, names that C has not free, words of what is not there, a path that is a
+    file, and somebody else's text in the place of one of these; where a linker is missing, and for a module of Python for
+    another processor than this one.
     """
     name = name or getattr(function, "__name__", "").strip("<>") or "function"
     folder = folder_at(name, path)
@@ -73,10 +78,18 @@ def export(
 
 
 def write_library(
-    name: str, functions: Sequence[Function], folder: Path, *, words: str = "", python: bool = False, apart: bool = True
+    name: str,
+    functions: Sequence[Function],
+    folder: Path,
+    *,
+    words: str = "",
+    python: bool = False,
+    apart: bool = True,
+    more: Mapping[str, str] | None = None,
 ) -> Exported:
-    """Writes functions of one target as a library called `name`: header, static library, the object files `apart`, and what
-    Python or a browser needs. Raises `ValueError`. Host."""
+    """Writes functions of one target as a library called `name`: header, static library, the object files `apart`, what
+    Python or a browser needs, and `more` texts by their files' names. Raises `ValueError`, as for a text that is there and was
+    not made here. Host."""
     check_name(name)
     files: dict[str, bytes] = {f"{name}.h": header(name, functions, words).encode()}
     members = [Member(f"{each.name}.o", each.image, each.symbols) for each in functions]
@@ -87,10 +100,23 @@ def write_library(
         files |= {f"{name}.wasm": module(functions), f"{name}.mjs": javascript(name, functions).encode()}
     if python:
         files |= {f"lib{name}.so": linked(name, functions), f"{name}.py": loader(name, functions, words).encode()}
-    folder.mkdir(parents=True, exist_ok=True)
-    for file, content in files.items():
-        (folder / file).write_bytes(content)
+    files |= {file: text.encode() for file, text in (more or {}).items()}
+    _write(name, folder, files)
     return Exported(name, tuple(functions), tuple(folder / file for file in files))
+
+
+def _write(name: str, folder: Path, files: Mapping[str, bytes]) -> None:
+    """Writes files, each at once in the place of one of an earlier export, which a program may have open: all or none of them,
+    where somebody else's text is in the way."""
+    for file, content in files.items():
+        there = folder / file
+        if MADE in content.lower() and there.exists() and MADE not in there.read_bytes().lower():
+            raise ValueError(f"export: {name}: {there} is there, and is none of jaxik's; give another folder, or another name=")
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".", dir=folder) as aside:
+        for file, content in files.items():
+            (made := Path(aside) / file).write_bytes(content)
+            platforms.replace(made, folder / file)
 
 
 def folder_at(name: str, path: str | Path) -> Path:

@@ -41,7 +41,10 @@ def linked(name: str, functions: Sequence[Function]) -> bytes:
 def loader(name: str, functions: Sequence[Function], words: str = "") -> str:
     """The text of `NAME.py`."""
     described = json.dumps({each.name: _described(each) for each in functions}, indent=4)
-    return _LOADER.format(name=name, words=words or f"The functions of {name}", functions=described)
+    told = (
+        (words.rstrip(".") or f"The functions of {name}").encode("unicode_escape").decode().replace('"', '\\"')
+    )  # inside of a docstring
+    return _LOADER.format(name=name, words=told, functions=described)
 
 
 def _described(function: Function) -> dict[str, Any]:

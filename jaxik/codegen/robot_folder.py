@@ -61,13 +61,10 @@ def export_robot(
     ]
     made = [each.function for each in samples]
     words = f"Functions of the robot {robot.name} ({robot.num_joints} joints: {', '.join(robot.joint_names)})."
-    written = write_library(name, made, folder, words=words, python=python, apart=False)
     files = {"README.md": _readme(name, robot, made, scene, python), f"{name}_robot.h": robot_header(name, robot)}
     if target_name != "wasm32":
         files |= {"CMakeLists.txt": cmake_lists(name, made), "main.c": example(name, samples), "test.c": test(name, samples)}
-    for file, text in files.items():
-        (folder / file).write_text(text, encoding="utf-8")
-    return Exported(name, written.functions, (*written.files, *(folder / file for file in files)))
+    return write_library(name, made, folder, words=words, python=python, apart=False, more=files)
 
 
 def _readme(name: str, robot: Robot, functions: Sequence[Function], scene: Scene | None, python: bool) -> str:

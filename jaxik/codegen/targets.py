@@ -62,6 +62,6 @@ def is_here(name: str) -> bool:
 
 def library_calls(image: bytes) -> Sequence[str]:
     """The functions of a C library that an object asks for, of those in `LIBRARY`, by the names in its table of symbols: there
-    they end in 0, or in WebAssembly begin with their length."""
-    told = lambda name: (b"\0%b\0" % name, b"\0_%b\0" % name, b"%c%b" % (len(name), name))
+    they end in 0, where a longer name may have the same end (`arm_sin`), or in WebAssembly begin with their length."""
+    told = lambda name: (b"%b\0" % name, b"%c%b" % (len(name), name))
     return [name for name in LIBRARY if any(each in image for each in told(name.encode()))]

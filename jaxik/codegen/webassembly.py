@@ -15,6 +15,7 @@ from jaxik.codegen.functions import Function
 
 _ARRAYS = {"float": "Float32Array", "double": "Float64Array", "i1": "Uint8Array"}
 _ARRAYS |= {f"{sign}{bits}": f"{'Uint' if sign == 'u' else 'Int'}{bits}Array" for sign in "iu" for bits in (8, 16, 32)}
+_ARRAYS |= {"i64": "BigInt64Array", "u64": "BigUint64Array"}
 STACK, ROOM = 1 << 17, 1 << 16  # bytes of the module's stack, and of what a call's arrays have at first
 
 
@@ -68,7 +69,8 @@ _LOADER = """// The functions of @NAME@ on arrays; made by jaxik, and yours.
 
 const DESCRIBED = @FUNCTIONS@;
 const LIBRARY = { sin: Math.sin, cos: Math.cos, tan: Math.tan, pow: Math.pow, fmod: (a, b) => a % b };
-const KINDS = { Float32Array, Float64Array, Uint8Array, Int8Array, Uint16Array, Int16Array, Uint32Array, Int32Array };
+const KINDS = { Float32Array, Float64Array, Uint8Array, Int8Array, Uint16Array, Int16Array, Uint32Array, Int32Array,
+  BigUint64Array, BigInt64Array };
 
 export async function load(source = new URL("./@NAME@.wasm", import.meta.url)) {
   const bytes = source instanceof URL || typeof source === "string" ? await (await fetch(source)).arrayBuffer() : source;
@@ -86,15 +88,16 @@ export async function load(source = new URL("./@NAME@.wasm", import.meta.url)) {
 }
 
 function call(exports, name, taken, results, workspace, given) {
-  let count = 1;
+  let count = null;
   for (const [word, , size, shared] of taken) {
     const length = given?.[word]?.length ?? (typeof given?.[word] === "number" ? 1 : -1);
     const rows = length / size;
-    if (!Number.isInteger(rows) || rows < 1 || (shared && rows !== 1) || (count > 1 && !shared && rows !== count)) {
+    if (!Number.isInteger(rows) || rows < 1 || (shared && rows !== 1) || (count !== null && !shared && rows !== count)) {
       throw new RangeError(`${name}: ${word} has ${length} numbers; give ${size}, or as many rows of them as the others`);
     }
     if (!shared) count = rows;
   }
+  count ??= 1;
   let at = exports.__heap_base.value;
   const place = (bytes) => {
     at = (at + 63) & ~63;

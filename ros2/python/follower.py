@@ -105,7 +105,8 @@ class Follower:
         away = np.abs(answer - self._commanded)
         if away.max() > self.options.jump:
             return Sample(self._commanded, Holding.FAR)
-        needed = (away / self._limits).max()
+        with np.errstate(divide="ignore"):  # for ever, where a limit is 0
+            needed = np.divide(away, self._limits, out=np.zeros_like(away), where=away > 0.0).max()
         late = needed > seconds
         following = self._commanded + seconds / needed * (answer - self._commanded) if late else answer
         if self._clearance(following) < self.options.margin - ROUNDING:

@@ -1,5 +1,6 @@
 """Exported folders as their user has them: compiled by a C compiler without Python, or called by a Python without JAX."""
 
+import dataclasses
 import json
 import os
 import re
@@ -131,3 +132,33 @@ def test_an_archive_is_ars(tmp_path):
     assert shell(tmp_path, "ar", "t", "x.a").split() == list(contents)
     for name, data in contents.items():
         assert shell(tmp_path, "ar", "p", "x.a", name).encode() == data
+
+
+def test_somebody_elses_text_is_left_as_it_is(tmp_path):
+    (tmp_path / "README.md").write_text("mine")
+    with pytest.raises(ValueError, match=r"README.md is there, and is none of jaxik's; give another folder") as told:
+        export_robot(jaxik.load("planar2"), ["pose"], tmp_path)
+    assert "\n" not in str(told.value) and [p.name for p in tmp_path.iterdir()] == ["README.md"]
+    assert (tmp_path / "README.md").read_text() == "mine"
+
+
+def test_an_export_takes_the_place_of_the_one_before(tmp_path):
+    """A program may have the library open, which is another file from then on."""
+    for functions in (["pose"], ["pose", "jacobian"]):
+        before = (tmp_path / "libplanar2.a").stat().st_ino if functions[1:] else None
+        export_robot(jaxik.load("planar2"), functions, tmp_path)
+    assert (tmp_path / "libplanar2.a").stat().st_ino != before and "jacobian" in (tmp_path / "test.c").read_text()
+    assert not [p for p in tmp_path.iterdir() if p.name.startswith(".")]
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_names_of_any_letters(tmp_path):
+    robot = dataclasses.replace(jaxik.load("planar2"), name='a*/ /*"b"\\N ü😀', joint_names=('"q\\1', "ü😀?"))
+    export_robot(robot, ["pose"], tmp_path, name="REALBITS", python=True)
+    asked = ["cc", "-std=c11", "-Wall", "-Wextra", "-pedantic", "-Werror", "main.c", "libREALBITS.a", "-o", "main"]
+    assert not subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True).stderr
+    told = '#include <stdio.h>\n#include "REALBITS_robot.h"\nint main(void) { puts(REALBITS_joint_names[0]); '
+    (tmp_path / "told.c").write_text(told + "puts(REALBITS_joint_names[1]); return 0; }\n")
+    subprocess.run(["cc", "told.c", "-o", "told"], cwd=tmp_path, check=True)
+    assert subprocess.run(["./told"], cwd=tmp_path, capture_output=True).stdout.decode().split() == list(robot.joint_names)
+    compile((tmp_path / "REALBITS.py").read_text(), "REALBITS.py", "exec")

@@ -207,3 +207,18 @@ def test_words_do_not_end_the_comment_that_they_are_in(tmp_path):
     jaxik.export(lambda q: 2 * q, (0.0,), tmp_path, name="twice", words={"q": "from a*/b"})
     asked = ["cc", "-fsyntax-only", "-x", "c", tmp_path / "twice.h"]
     assert not subprocess.run(asked, capture_output=True, text=True).stderr
+
+
+def test_an_argument_is_shared_by_its_whole_name():
+    of = lambda function, signature, *shared: function_of(function, signature, name="f", shared=shared).arguments
+    given = of(lambda q, goal, goal_weight: q * goal_weight + goal, (0.0, 0.0, 0.0), "goal")
+    assert [x.shared for x in given] == [False, True, False]
+    given = of(lambda q, my_goal: q * my_goal["a"] + my_goal["b"], (0.0, {"a": 0.0, "b": 0.0}), "my_goal")
+    assert [(x.name, x.shared) for x in given] == [("q", False), ("my_goal_a", True), ("my_goal_b", True)]
+    with pytest.raises(ValueError, match="shared 'goal' is no argument; choose of q, goal_weight"):
+        of(lambda q, goal_weight: q * goal_weight, (0.0, 0.0), "goal")
+
+
+def test_a_name_that_ends_like_the_librarys_hides_no_call():
+    made = function_of(lambda q: 2 * jnp.sin(q), (0.0,), name="arm_sin", double=True, words={"arm_sin": "twice the sine"})
+    assert made.calls == ("sin",) and made.words == "twice the sine"
