@@ -80,6 +80,8 @@ class Estimator(Stepped):
     def taken(self, sample: Motion, missed: int = 0) -> tuple[Any, ...]:
         if missed != 0:
             as_count("estimation loop: missed", missed, least=0)
+        if sample.joint_names and sample.joint_names != self.robot.joint_names:
+            sample = sample.ordered("estimation loop", self.robot.joint_names)
         return (missed, *self._fields(sample))
 
     def refuse(self, sample: Motion, missed: int = 0) -> None:

@@ -225,14 +225,14 @@ class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
         felt = jnp.zeros(3) if contact is None else self._world() @ reflect(self.robot, q, contact, felt=self.felt)
         ends = held | (state.led & ~asked.leads)  # the clutch ends the way that is not made up for yet, too
         arm, wanted, turn = self._at_arm(state, asked, felt, held, ends)
-        rate, target, apart, moved = kernel(self._resolved)(state.rate, state.target, q, wanted, turn, held, ends)
+        rate, target, apart, moved, odd = kernel(self._resolved)(state.rate, state.target, q, wanted, turn, held, ends)
         share = self._channel.share(arm, felt, moved, self.dt)
         rate, moved = share * rate, share * moved
         arm, packet = self._channel.reply(arm, felt, wanted, moved, self.dt)
         back, packet = self._lines[1].step(state.back, packet, self.dt)
         energy = state.energy + self.dt * (felt @ moved - force @ velocity)
         after = TeleoperationState(mapped, hand.position, end, arm, there, back, packet, q, rate, target, asked.leads, energy)
-        reason = jnp.where(broken & (told == Reason.SOLVED), Reason.INVALID, told)
+        reason = jnp.where((broken | odd) & (told == Reason.SOLVED), Reason.INVALID, told)
         return after, TeleoperationCommand(rate, self.force_ratio * force, target, felt, energy, apart, reason)
 
     # ----------------------------------------------------------------------------------------------------------------
@@ -258,8 +258,8 @@ class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
         return end, jnp.where(ends, 0.0, velocity), jnp.where(held, 0.0, asked.turn)
 
     def _resolved(self, before: Any, target: Any, q: Any, velocity: Any, turn: Any, held: Any, ends: Any) -> tuple[Any, ...]:
-        """Returns the joints' rates, after those `before`, the target after them, the clearance, and the velocity of the
-        tip."""
+        """Returns the joints' rates, after those `before`, the target after them, the clearance, the velocity of the tip, and
+        whether the slope of the cost is no number: then the arm slows down, as one that is held."""
         dt, tip = self.dt, forward_kinematics(self.robot, q)
         target = _leashed(tip, target, self.leash)
         base = self._world().T
@@ -267,6 +267,8 @@ class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
         limits = RateLimits.of(self.robot, acceleration=self.acceleration)
         box = limits.rates(q, before, dt)
         u = downhill(self.robot, q, self.cost, self.alpha)
+        odd = ~jnp.all(jnp.isfinite(u))
+        u, held, ends = jnp.where(odd, 0.0, u), held | odd, ends | odd
         motion = TipMotion(target, twist, jnp.zeros(6))
         rates = lambda u: resolve(self.robot, q, motion, u=u, task=self.task, gain=self.gain, box=box).rate
         slower = before - jnp.clip(before, -dt * limits.acceleration, dt * limits.acceleration)
@@ -274,7 +276,7 @@ class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
         turned = rotation_exp(dt * twist[3:]) @ target[:3, :3]
         place = target[:3, 3] + dt * twist[:3]
         moved = jnp.concatenate([jnp.concatenate([turned, place[:, None]], axis=1), target[3:]])
-        return rate, jnp.where(ends, tip, moved), apart, self._world() @ (jacobian(self.robot, q)[:3] @ rate)
+        return rate, jnp.where(ends, tip, moved), apart, self._world() @ (jacobian(self.robot, q)[:3] @ rate), odd
 
     def _clear(self, q: Any, u: Any, or_held: Any, rates: Any, box: Box) -> tuple[Any, Any]:
         """Returns the rates that keep the clearance, and the clearance. An arm that is held slows down, and gives way to

@@ -103,6 +103,13 @@ def test_a_loop_is_what_a_log_is(log, estimator, only_kernels):
         np.testing.assert_array_equal(external, state.external)
         found.append(external)
     np.testing.assert_allclose(found, estimate(estimator, log)[0, :5], rtol=1e-12, atol=1e-12)
+    turned = lambda sample: jax.tree_util.tree_map(lambda x: x[::-1] if np.ndim(x) else x, sample)
+    other = [dataclasses.replace(turned(sample), joint_names=ARM.joint_names[::-1]) for sample in samples]
+    again, named = loop.start(other[0]), []
+    for sample in other:
+        again, external = loop.step(again, sample)
+        named.append(external)
+    np.testing.assert_array_equal(named, found)  # by their names, in whatever order they come
     with pytest.raises(ValueError, match="estimation loop: missed is -1; allowed: a count"):
         loop.step(state, samples[0], missed=-1)
     bad = dataclasses.replace(samples[0], current=np.array([0.0, np.nan]))

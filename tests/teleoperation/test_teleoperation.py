@@ -310,6 +310,20 @@ def test_limits_and_clearance_are_kept():
     assert ways.min() > 0.2  # each went somewhere
 
 
+@pytest.mark.parametrize("collision", [False, True])
+def test_a_slope_that_is_no_number_is_no_command(collision):
+    """A norm has none at its zero. The arm slows down, says so, and goes on once there is a slope again."""
+    begin = np.array([-0.5, -0.5, -0.3, -0.6])
+    more = {"scene": SCENE} if collision else {"collision": False}
+    setup = Teleoperation(FOUR, mapping=PositionControl(), task=XY, cost=lambda q: jnp.linalg.norm(q - begin), **more)
+    state = setup.init(begin)
+    state, odd = setup.step(state, begin, hands([0.0, 0.0, 0.0]))
+    assert odd.reason == Reason.INVALID and not np.asarray(odd.rate).any() and np.isfinite(odd.target).all()
+    for k in range(5):
+        state, sound = setup.step(state, begin + 0.05, hands([1e-4 * k, 0.0, 0.0]))
+    assert sound.reason == Reason.SOLVED and np.isfinite(sound.rate).all() and np.asarray(sound.rate).any()
+
+
 CHANNELS = [WaveVariables(impedance=20.0), PassivityController(drag=20.0), PassivityController(), Direct()]
 
 
