@@ -45,8 +45,7 @@ endif()
 def example(name: str, samples: Sequence[Sampled]) -> str:
     """The text of `main.c`: one call of each function, and what it returns."""
     lines = [f"/* One call of each function of {name}. Made by jaxik. */", "#include <stdio.h>", f'#include "{name}.h"', ""]
-    kind = "double" if any(f.kind == "double" for each in samples for f in each.function.results) else "float"
-    lines += [_SHOW.replace("REAL", kind), "int main(void) {"]
+    lines += [_SHOW.replace("REAL", _real(samples)), "int main(void) {"]
     for each in samples:
         function = each.function
         lines.append("  {")
@@ -67,7 +66,7 @@ def example(name: str, samples: Sequence[Sampled]) -> str:
 
 def test(name: str, samples: Sequence[Sampled]) -> str:
     """The text of `test.c`: samples of each function, one by one and as a batch, beside what jaxik computed at export."""
-    kind, bits = ("double", "64") if any(f.kind == "double" for s in samples for f in s.function.results) else ("float", "32")
+    kind = _real(samples)
     lines = [f"/* The functions of {name} beside numbers that were computed when they were exported. Made by jaxik. */"]
     lines += [
         "#include <math.h>",
@@ -76,7 +75,7 @@ def test(name: str, samples: Sequence[Sampled]) -> str:
         "#include <string.h>",
         f'#include "{name}.h"',
         "",
-        _CHECKS.replace("REAL", kind).replace("BITS", bits),
+        _CHECKS.replace("REAL", kind).replace("BITS", {"float": "32", "double": "64"}[kind]),
     ]
     lines += [line for each in samples for line in _data(each)]
     lines += ["int main(void) {"]
@@ -124,6 +123,11 @@ static void compare(const char *what, const REAL *found, const REAL *wanted, siz
   failed += most > {ULP};
 }}
 """
+
+
+def _real(samples: Sequence[Sampled]) -> str:
+    """The type of the results that are compared."""
+    return "double" if any(f.kind == "double" for each in samples for f in each.function.results) else "float"
 
 
 def _array(field: Field, name: str, rows: int | None = None) -> str:

@@ -80,9 +80,7 @@ class Estimator(Stepped):
     def taken(self, sample: Motion, missed: int = 0) -> tuple[Any, ...]:
         if missed != 0:
             as_count("estimation loop: missed", missed, least=0)
-        if sample.joint_names and sample.joint_names != self.robot.joint_names:
-            sample = sample.ordered("estimation loop", self.robot.joint_names)
-        return (missed, *self._fields(sample))
+        return (missed, *self._fields(sample.ordered("estimation loop", self.robot.joint_names)))
 
     def refuse(self, sample: Motion, missed: int = 0) -> None:
         _checked("estimation loop", self, sample, of_log=False)
