@@ -57,8 +57,8 @@ class BaseArguments(FLAGS, SearchArguments):
         check_writable(self.out, endings=(".csv", ".npz"))
         if self.plot is not None:
             check_writable(self.plot, "--plot", (".png",))
-        scene, targets = self.around(), jaxik.load_targets(self.targets)
-        robot = jaxik.load(self.robot, **self.loading())  # at last: its meshes may take a while
+        loading, scene, targets = self.loading(), self.around(), jaxik.load_targets(self.targets)
+        robot = jaxik.load(self.robot, **loading)  # at last: its meshes may take a while
         if self.task and self.free:
             raise ValueError("--task says what --free does; write --task 'pose free yaw'")
         free = (*self.free, *(TURNS if targets.ndim == 2 else ()))  # a position says nothing of rotation

@@ -77,10 +77,10 @@ class IKArguments(FLAGS, SearchArguments):
         if self.out.suffix.lower() == ".parquet":
             optional("--out: .parquet", "pyarrow", "parquet")  # before the work, not after
         check_seed("solve_ik", self.seed)
-        scene = self.around()
-        with opened(self.targets):  # before the robot, whose meshes may take a while, and whose tips their columns are of
+        loading, scene = self.loading(), self.around()
+        with opened(Path(self.targets)):  # before the robot, whose meshes may take a while, and whose tips their columns are of
             pass
-        robot = jaxik.load(self.robot, **self.loading())
+        robot = jaxik.load(self.robot, **loading)
         task, tips = self._task(robot)
         targets = jaxik.load_targets(self.targets, tips=tips)
         if task is None:  # a position says nothing of rotation

@@ -62,9 +62,9 @@ class PathArguments(FLAGS, SearchArguments):
         check_writable(self.out, endings=ENDINGS)
         if self.picture is not None:
             check_writable(self.picture, "--picture", (".png", ".svg", ".pdf"))
-        scene, poses = self.around() or jaxik.make_scene(), jaxik.load_targets(self.path)
+        loading, scene, poses = self.loading(), self.around() or jaxik.make_scene(), jaxik.load_targets(self.path)
         options = PathOptions(**given(self, PathOptions) | {"task": self._task()})
-        robot = jaxik.load(self.robot, **self.loading())  # at last: its meshes may take a while
+        robot = jaxik.load(self.robot, **loading)  # at last: its meshes may take a while
         began = time.perf_counter()
         found = jaxik.plan_path(robot, poses, scene=scene, seed=self.seed, options=options)
         seconds = time.perf_counter() - began
