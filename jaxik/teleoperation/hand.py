@@ -2,21 +2,21 @@
 
 A game pad and the keyboard of a terminal render no forces. Mappings are those of [Schuetz 2017, sec. 3.1.4, fig. 3.5]:
 
-    rate control       v = g(dx) dx / |dx|,       g = (exp(c2 (|dx| - band)) - 1) / c1       dx = x_hand - x_ref
+    rate control       v = g(x) x / |x|,          g = (exp(c2 (|x| - band)) - 1) / c1        x = x_hand - x_middle
     position control   v = k xdot_hand,           w = integral of v, which the arm makes up for in the time T
 
 Both are bounded by `fastest`, the first here, the second at the arm, where what is ahead is made up for later. What the hand
 feels works on the hand's own velocity: that is what the channel is told and counts, and what takes tremor away stands behind
 it.
 
-The thesis' g (3.1) is exp(c2 |dx|) / c1, which jumps to 1 / c1 at the reference and never lets an arm stand still: here a dead
-band of radius `band` stands still, and g begins at zero on its edge. The arm's own position, which comes back late, is not
+The thesis' g (3.1) is exp(c2 |x|) / c1, which jumps to 1 / c1 in the middle and never lets an arm stand still: here a dead
+band of radius `band` stands still, and g begins at zero on its edge. The middle is the device's zero, where a stick rests. The arm's own position, which comes back late, is not
 used: w is what was asked for so far.
 
 While the hand may not move the arm (the clutch is pressed, the device is silent), v is 0, and it feels nothing. A position
 control takes its reference anew there, so that the arm goes on from where it stands: that is indexing, as one lifts a mouse. A
-rate control waits until the hand has been in the dead band: a stick that is let go returns to the middle, and a new reference
-would make that a command.
+rate control waits until the hand has been in the dead band, at the start as well: a stick that is let go returns to the middle,
+and a reference taken anew would make that a command.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Watchdog:
     """A device that always answers: with what it said last, and how long ago that was: the age that it told then, and what has
     gone by since. Host.
 
-    `clock` gives the time [s]. Before the first answer the age is infinite.
+    `clock` gives the time [s]. Before the first answer the age is infinite, and while the clock is behind the last one.
     """
 
     def __init__(self, device: Device, *, clock: Callable[[], float] = time.monotonic):
@@ -94,7 +94,8 @@ class Watchdog:
         now = self.clock()
         if told is not None:
             self._last, self._heard = told, now
-        return self._last._replace(age=self._last.age + now - self._heard)
+        since = now - self._heard
+        return self._last._replace(age=self._last.age + (since if since >= 0.0 else math.inf))
 
     def render(self, force: np.ndarray) -> None:
         with contextlib.suppress(OSError):  # the next answer grows older
@@ -211,39 +212,36 @@ class Keyboard(_Silent):
 
 
 class Mapped(NamedTuple):
-    """The reference x_ref (3,) [m] of the hand, of position control where it was last; whether the hand moves the arm, and
-    whether it ever did."""
+    """Where the hand (3,) [m] was last, how old that was [s], and whether it moves the arm."""
 
-    reference: Float[Array, "3"]
+    position: Float[Array, "3"]
+    age: Float[Array, ""]
     moves: Bool[Array, ""]
-    known: Bool[Array, ""]
 
 
 class _Mapping(Options):
     def init(self) -> Mapped:
-        """Returns the state before the first sample, where the reference is taken. Traced."""
-        return Mapped(jnp.zeros(3), jnp.zeros((), bool), jnp.zeros((), bool))
+        """Returns the state before the first sample. Traced."""
+        return Mapped(jnp.zeros(3), jnp.zeros(()), jnp.zeros((), bool))
 
 
 class RateControl(_Mapping, who="rate control"):
-    """A deviation is a velocity: for devices whose workspace is much smaller than the arm's, sticks, and keys."""
+    """A deviation from the device's zero is a velocity: for devices whose workspace is much smaller than the arm's, sticks."""
 
-    dead_band: float = number(default=0.003, unit="m", least=0.0, words="radius about the reference where the arm stands still")
+    dead_band: float = number(default=0.003, unit="m", least=0.0, words="radius about zero within which the arm stands still")
     c1: float = number(default=50.0, unit="s/m", least=1e-9, words="shapes the exponential")
     c2: float = number(default=40.0, unit="1/m", least=0.0, words="shapes it, too")
     fastest: float = number(default=0.25, unit="m/s", least=0.0, words="bound of the tip's speed")
     turning: float = number(default=0.5, unit="rad/s", least=0.0, words="bound of the tip's turn")
 
-    def step(self, state: Mapped, position: Any, active: Any, dt: float) -> tuple[Mapped, Any]:
-        """Returns the state and the velocity (3,) [m/s] for a hand at `position` (3,) [m] that may move the arm if `active`.
-        Traced."""
-        reference = jnp.where(state.known | ~active, state.reference, position)
-        away = position - reference
-        size = safe_sqrt(away @ away)
+    def step(self, state: Mapped, position: Any, active: Any, dt: float, age: Any = 0.0) -> tuple[Mapped, Any]:
+        """Returns the state and the velocity (3,) [m/s] for a hand that was at `position` (3,) [m] an `age` [s] ago, and may
+        move the arm if `active`. Traced."""
+        size = safe_sqrt(position @ position)
         moves = active & (state.moves | (size <= self.dead_band))
         speed = jnp.expm1(self.c2 * jnp.maximum(size - self.dead_band, 0.0)) / self.c1
-        velocity = jnp.where(moves, away * safe_divide(jnp.minimum(speed, self.fastest), size), 0.0)
-        return Mapped(reference, moves, state.known | active), velocity
+        velocity = jnp.where(moves, position * safe_divide(jnp.minimum(speed, self.fastest), size), 0.0)
+        return Mapped(position, age + jnp.zeros_like(size), moves), velocity
 
 
 class PositionControl(_Mapping, who="position control"):
@@ -256,13 +254,14 @@ class PositionControl(_Mapping, who="position control"):
     fastest: float = number(default=0.5, unit="m/s", least=0.0, words="bound of the tip's speed")
     turning: float = number(default=0.5, unit="rad/s", least=0.0, words="bound of the tip's turn")
 
-    def step(self, state: Mapped, position: Any, active: Any, dt: float) -> tuple[Mapped, Any]:
-        """Returns the state and the velocity (3,) [m/s] for a hand at `position` (3,) [m] that may move the arm if `active`.
-        Traced."""
-        way = position - state.reference
-        follows = active & state.moves & (way @ way <= (_FASTEST_HAND * dt) ** 2)
+    def step(self, state: Mapped, position: Any, active: Any, dt: float, age: Any = 0.0) -> tuple[Mapped, Any]:
+        """Returns the state and the velocity (3,) [m/s] for a hand that was at `position` (3,) [m] an `age` [s] ago, and may
+        move the arm if `active`. Traced."""
+        way = position - state.position
+        size = way @ way
+        follows = active & state.moves & (size <= (_FASTEST_HAND * (dt + state.age)) ** 2)
         velocity = jnp.where(follows, self.workspace * way / dt, 0.0)
-        return Mapped(position, active, state.known | active), velocity
+        return Mapped(position, age + jnp.zeros_like(size), active), velocity
 
 
 def bounded(vector: Any, most: Any) -> Any:

@@ -62,4 +62,6 @@ def test_a_watch_tells_how_long_nothing_was_said():
     assert slow.read().age == pytest.approx(0.3)
     now[0] = 5.5
     assert slow.read().age == pytest.approx(0.4)
+    now[0] = 0.0  # a clock that is set back tells nothing
+    assert slow.read().age == np.inf
     watch.render(np.zeros(3))
