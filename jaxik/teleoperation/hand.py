@@ -10,8 +10,8 @@ feels works on the hand's own velocity: that is what the channel is told and cou
 it.
 
 The thesis' g (3.1) is exp(c2 |x|) / c1, which jumps to 1 / c1 in the middle and never lets an arm stand still: here a dead
-band of radius `band` stands still, and g begins at zero on its edge. The middle is the device's zero, where a stick rests. The arm's own position, which comes back late, is not
-used: w is what was asked for so far.
+band of radius `band` stands still, and g begins at zero on its edge. The middle is the device's zero, where a stick rests. The
+arm's own position, which comes back late, is not used: w is what was asked for so far.
 
 While the hand may not move the arm (the clutch is pressed, the device is silent), v is 0, and it feels nothing. A position
 control takes its reference anew there, so that the arm goes on from where it stands: that is indexing, as one lifts a mouse. A

@@ -76,7 +76,10 @@ class Page(Stage):
         self.map = self._tab("Map", Cloud, group, NO_MAP)
         self.fruits = self._tab("Fruits", FruitList, harvest, NO_FRUITS)
         self.player = self._tab("Motions", Player, plan, NO_MOTIONS)
-        self.steering = self._tab("Steer", Steering, robot) if teleop else None
+        self.steering = None
+        if teleop:
+            with self.tabs.add_tab("Steer"):
+                self.steering = Steering(self)
         self._tab("Help", None, None, "\n\n".join(HELP))
 
     @property

@@ -98,7 +98,10 @@ class Stage:
 
     def move(self, q: np.ndarray, world_T_base: np.ndarray | None = None) -> None:
         """Shows the robot at `q` (n,) [rad, m], where it stands unless `world_T_base` (4, 4) puts it elsewhere."""
-        self.robot = self.home if world_T_base is None else self.home.mounted(world_T_base)
+        if world_T_base is None:
+            self.robot = self.home
+        elif not np.array_equal(self.robot.world_T_base, world_T_base):
+            self.robot = self.home.mounted(world_T_base)
         self._q = np.array(q, float)
         self._draw()
 

@@ -6,7 +6,6 @@ moves it. What is near pushes like a spring that begins `SHELL` away, so that th
 
 from __future__ import annotations
 
-import functools
 import threading
 import time
 from collections.abc import Sequence
@@ -24,6 +23,7 @@ from jaxik.collision.scene import Scene
 from jaxik.dynamics.point_force import PointForce
 from jaxik.kinematics.forward import manipulability
 from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import Task
 from jaxik.planning import save_trajectory
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.reasons import Reason
@@ -146,8 +146,8 @@ FORCES = (
 class Steering:
     """The controls in a tab of the page, and the loop behind them."""
 
-    def __init__(self, page: Stage, robot: Robot):
-        self.page, self.robot, self.running = page, robot, threading.Event()
+    def __init__(self, page: Stage):
+        self.page, self.running = page, threading.Event()
         self.rows: list[np.ndarray] = []
         self.recording = self.playing = False
         gui = page.server.gui
@@ -176,47 +176,61 @@ class Steering:
         self.thread.join()
 
     def store(self) -> Path | None:
-        """The recording as a file, as `planning.save_trajectory` writes it; None, and why on the page, where that fails."""
+        """The recording as a file, as `planning.save_trajectory` writes it; None, and why on the page, where that fails. The
+        page says, too, where no arm can follow it: a slider or another tab may move what is shown at once."""
+        robot = self.page.robot
         try:
-            file = save_trajectory(recorded(self.rows, PERIOD), self.file.value, robot=self.robot, dt=PERIOD)
+            motion = recorded(self.rows, PERIOD)
+            file = save_trajectory(motion, self.file.value, robot=robot, dt=PERIOD)
         except (ValueError, OSError) as error:
             self.kept.content = boxed(str(error))
             return None
-        self.kept.content = boxed(f"{file}: {len(self.rows)} samples")
+        fastest = np.abs(motion.sample(PERIOD).velocity).max(axis=0)
+        quick = ", ".join(np.array(robot.joint_names)[fastest > robot.velocity])
+        self.kept.content = boxed(f"{file}: {len(self.rows)} samples" + f"; beyond the speed limits of {quick}" * bool(quick))
         return file
 
     # ----------------------------------------------------------------------------------------------------------------
 
-    @functools.cached_property
-    def loop(self) -> ControlLoop:
-        page, robot = self.page, self.robot
-        scene = page.scene if page.clear.value else None
-        blind = bool(page.blind)
+    def _asked(self) -> tuple[Any, ...]:
+        """What the loop is made of: the robot where a tab has put it, what it keeps clear of, and what the target binds."""
+        page = self.page
+        return page.robot, page.scene if page.clear.value else None, page.task
+
+    def _made(self, robot: Robot, scene: Scene | None, task: Task) -> ControlLoop:
+        """The loop; it compiles for some seconds when it starts."""
+        blind = bool(self.page.blind)
 
         def cost(q: Any) -> Any:
             total = costs.joint_limit_cost(robot, q) + 0.05 * costs.comfort_cost(robot, q)
             return total if blind else total + costs.collision_cost(clearance(robot, scene, q), activation=SHELL)
 
+        self.said.content = boxed("getting ready")
         mapping = PositionControl(smoothing=0.08, fastest=0.5, turning=1.5)
         quick: dict[str, Any] = {"dt": PERIOD, "gain": 10.0, "acceleration": 10.0, "leash": 0.1, "contacts": 1}
         kept: dict[str, Any] = {"scene": scene, "margin": MARGIN, "collision": not blind}
-        return ControlLoop(Teleoperation(robot, mapping=mapping, task=page.task, cost=cost, **kept, **quick))
+        return ControlLoop(Teleoperation(robot, mapping=mapping, task=task, cost=cost, **kept, **quick))
 
     def _run(self) -> None:
         known, looked, since = self.page.q, 0, [time.monotonic()] * 30
-        state, due = self.loop.start(known), time.monotonic()
+        self.asked = self._asked()
+        loop = self._made(*self.asked)
+        state, due = loop.start(known), time.monotonic()
         while self.running.is_set():
             due = max(due + PERIOD, time.monotonic())
             if self.playing:
                 self._played()
-            q = self.page.q
+            q, now = self.page.q, self._asked()
             if not (np.array_equal(q, known) and self.on.value):  # a slider, a map or a player has moved it, or it is to stand
-                state = self.loop.start(q)
+                state = loop.start(q)
+            elif any(new is not old for new, old in zip(now, self.asked, strict=True)):
+                self.asked, loop = now, self._made(*now)
+                state = loop.start(q)
             if looked % LOOKED == 0:
                 near = self.page.look()
             contact, at = self._contact(near)
             hand = self.watch.read() if self.on.value else _RESTS
-            state, command = self.loop.step(state, q, hand, contact)
+            state, command = loop.step(state, q, hand, contact)
             known = q + PERIOD * command.rate if self.on.value else q
             moves = not np.array_equal(known, q) and np.array_equal(q, self.page.q)  # and nobody else has moved it meanwhile
             if moves:
@@ -239,14 +253,16 @@ class Steering:
             return none, np.zeros(3)
         first = near[0]
         away = (np.asarray(first.point) - np.asarray(first.other_point)) / first.distance
-        base = np.linalg.inv(np.asarray(self.robot.world_T_base))
+        robot = self.page.robot
+        base = np.linalg.inv(np.asarray(robot.world_T_base))
         force = base[:3, :3] @ (STIFFNESS * (SHELL - first.distance) * away)
-        joint = self.robot.link_joint[self.robot.link_names.index(first.link)]
+        joint = robot.link_joint[robot.link_names.index(first.link)]
         return PointForce(np.array([joint]), (base @ [*first.point, 1.0])[None, :3], force[None]), np.asarray(first.point)
 
     def _drawn(self, command: Any, contact: PointForce, at: np.ndarray) -> None:
         """The contact's force on the arm, and what a hand would feel at the tip."""
-        turn, tip = np.asarray(self.robot.world_T_base)[:3, :3], frames(self.robot, self.page.q)[-1][:3, 3]
+        robot = self.page.robot
+        turn, tip = np.asarray(robot.world_T_base)[:3, :3], frames(robot, self.page.q)[-1][:3, 3]
         for arrow, start, force in zip(self.arrows, (at, tip), (turn @ contact.force[0], command.felt), strict=True):
             shown = bool(np.linalg.norm(force) > 0.1)
             if shown:
@@ -259,7 +275,7 @@ class Steering:
         reason = Reason(int(command.reason))
         words = f"{pace:.0f} Hz; {np.linalg.norm(command.felt):.1f} N at the tip"
         self.said.content = boxed(words if reason == Reason.SOLVED else f"{words}; held still: {reason}")
-        self.page.drawing.colour(strained=near_limits(self.robot, self.page.q))
+        self.page.drawing.colour(strained=near_limits(self.page.robot, self.page.q))
 
     def _recorded(self) -> None:
         """Begins to record, or ends."""

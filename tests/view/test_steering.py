@@ -50,6 +50,7 @@ def test_the_arm_follows_a_drag_and_is_recorded(page, tmp_path):
     for ending in ("csv", "npz", "json"):
         steering.file.value = str(tmp_path / f"motion.{ending}")
         assert steering.store() == tmp_path / f"motion.{ending}"
+        kept = steering.kept.content
         state = load_trajectory(tmp_path / f"motion.{ending}", robot=page.robot)
         assert np.allclose(state.q, rows, atol=1e-9) and np.allclose(np.diff(state.time), PERIOD, atol=1e-6)
     steering.file.value = "motion.txt"
@@ -57,6 +58,10 @@ def test_the_arm_follows_a_drag_and_is_recorded(page, tmp_path):
     steering.playing = True
     until(lambda: not steering.playing)
     assert np.allclose(page.q, rows[-1], atol=0.05)  # steering has gone on from there
+    assert "beyond" not in kept
+    steering.rows = [*rows, rows[-1] + 0.5]  # as a slider may move it
+    steering.file.value = str(tmp_path / "jump.csv")
+    assert steering.store() is not None and "; beyond the speed limits of slide, theta2" in steering.kept.content
     with pytest.raises(ValueError, match="a recording of 1 samples; record for longer"):
         recorded(rows[:1], PERIOD)
 
@@ -104,3 +109,28 @@ def test_nobody_is_there(page):
     until(lambda: "held still: silent" in page.steering.said.content)
     page.server.get_clients = lambda: {0: None}
     until(lambda: "held still" not in page.steering.said.content)
+
+
+def test_the_page_says_what_is_kept_clear_and_where_the_arm_stands():
+    """A base that another tab has chosen, and a scene that is to be kept clear or not, are the loop's, too."""
+    page = Page(jaxik.load("p6r"), scene=jaxik.make_scene(spheres=[[0.0, 5.0, 0.5, 0.1]]), port=0, teleop=True)
+    page.server.get_clients = lambda: {0: None}
+    try:
+        steering = page.steering
+        until(lambda: "Hz" in steering.said.content)
+        turned = np.eye(4)
+        turned[:3, :3], turned[:3, 3] = np.diag([-1.0, -1.0, 1.0]), [0.3, 0.2, 0.0]
+        page.move(page.q, turned)
+        until(lambda: steering.asked[0] is page.robot and "Hz" in steering.said.content)
+        for way in ((0.03, 0.0, 0.0), (0.0, -0.03, 0.0)):
+            aim = place(page) + way
+            steering.device.dragged = True
+            until(lambda: steering.device._followed)
+            page.gizmo.position = aim
+            until(lambda aim=aim: np.linalg.norm(place(page) - aim) < 1e-3)
+            steering.device.dragged = False
+            until(lambda: not steering.device._followed)
+        page.clear.value = False
+        until(lambda: steering.asked[1] is None and "Hz" in steering.said.content)
+    finally:
+        page.close()
