@@ -44,10 +44,11 @@ class Detector(Pytree):
         return np.zeros(np.shape(self.threshold))
 
     def step(self, since: Any, external: Any, velocity: Any) -> tuple[Any, Any]:
-        """Returns the next `since`, and the alarms (n,), of an estimate and the joints' rates. Traced. Takes NumPy's arrays,
-        too."""
+        """Returns the next `since`, and the alarms (n,), of an estimate and the joints' rates: one, too, where any of it is not
+        finite. Traced. Takes NumPy's arrays, too."""
         since = (since + 1.0) * (abs(velocity) >= self.rest)
-        return since, abs(external) > self.threshold + self.band * (since <= self.memory)
+        quiet = (abs(external) <= self.threshold + self.band * (since <= self.memory)) & (abs(velocity) < np.inf)
+        return since, ~quiet
 
 
 def _blind(rest: Any, memory: int, velocity: np.ndarray) -> np.ndarray:

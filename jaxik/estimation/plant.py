@@ -32,6 +32,14 @@ from jaxik.spatial.rotations import to_wxyz
 from jaxik.spmd import HostKernel
 
 TOLD = 1024  # samples between two calls of `progress`
+SENSED = (
+    "current_noise",
+    "current_step",
+    "torsion_noise",
+    "torsion_step",
+    "torsion_play",
+    "position_step",
+)  # one, or one a joint
 CREEP = 1e-5  # [rad/s, m/s]: slower is at rest, where friction is what the law tends to
 
 
@@ -70,10 +78,16 @@ class PlayOptions(Options, who="play"):
     def check(self) -> None:
         rest = numbers("play: rest", self.rest, (2,))
         check_finite("play", 0.0, **{"rest before": rest[0], "rest after": rest[1]})
-        for name in ("current_noise", "current_step", "torsion_noise", "torsion_step", "torsion_play", "position_step"):
+        for name in SENSED:
             values = numbers(f"play: {name}", getattr(self, name))
             if not np.all(values >= 0.0) or not np.isfinite(values).all():
                 raise ValueError(f"play: {name} is {shown(getattr(self, name))}; allowed: finite numbers of at least 0")
+
+    def check_instruments(self, count: int) -> None:
+        """Raises `ValueError` for instruments of another number of joints."""
+        for name in SENSED:
+            if (shape := np.shape(getattr(self, name))) not in ((), (count,)):
+                raise ValueError(f"play: {name} has the shape {shape}; allowed: (), ({count},)")
 
 
 class Played(Pytree):
@@ -131,7 +145,7 @@ def play(
 
     The controllers know the arm as `model`, by default as it is. `changes` are fields of the options; `progress` is told how
     many samples are done, of how many. Raises `ValueError` for a robot without bodies, for a push on a link that it does not
-    have, for numbers out of range, and one that names the extra where MuJoCo is not installed.
+    have, for numbers out of range, for an arm that flies apart, and one that names the extra where MuJoCo is not installed.
     """
     mujoco = optional("play: a simulation", "mujoco", "mjcf")
     model = robot if model is None else model
@@ -145,6 +159,7 @@ def play(
     motions = [motions] if isinstance(motions, Trajectory) else list(motions)
     if not motions:
         raise ValueError("play: no motion; give a Trajectory, or several in a row")
+    options.check_instruments(robot.num_joints)
     for motion in motions:
         check_kind("play", "motion", motion, Trajectory)
         check_joints("play", motion, robot.joint_names)
@@ -173,6 +188,7 @@ def _simulated(
     friction = HostKernel(lambda qdot, torque: friction_torque(robot, qdot, torque), 2)
     found, data = np.empty((6, len(t), robot.num_joints)), mujoco.MjData(arm)
     q, qdot, current, external, torque, gear = found
+    wild = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
     data.qpos[:], data.qvel[:], given = desired.q[0], desired.velocity[0], gain * forward[0] + spring
     for k in range(len(t)):
         q[k], qdot[k] = data.qpos, data.qvel
@@ -184,13 +200,12 @@ def _simulated(
         driven = gain * current[k] + spring
         data.qfrc_applied[:] = driven + external[k]
         mujoco.mj_step(arm, data)
+        if any(data.warning[kind].number for kind in wild):  # and it has put the arm back to where all joints are 0
+            raise ValueError(f"play: {robot.name} flies apart after {t[k]:g} s; lower frequency or dt")
         torque[k] = given = driven + data.qfrc_constraint
         gear[k] = given - arm.dof_armature * data.qacc
         if progress is not None and (k % TOLD == TOLD - 1 or k == len(t) - 1):
             progress(k + 1, len(t))
-    if not np.isfinite(q).all():
-        off = t[np.argmin(np.isfinite(q).all(axis=1))]
-        raise ValueError(f"play: {robot.name} flies apart after {off:g} s; lower frequency or dt")
     return found
 
 

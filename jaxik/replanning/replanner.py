@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -51,7 +52,7 @@ class Replanner:
     Limits of velocity, acceleration and jerk hold at every moment, also through changes. `options` and keywords are those of
     `ReplanOptions`; the scene's room (`Scene.with_room`) says for how many things programs are compiled, once. Commands follow
     from what was given, the times and the seed alone. With `log`, a path, all of that is written as it comes, and `replay`
-    computes it anew.
+    computes it anew; where that fails, a warning says so, and the robot goes on without a log.
 
     Raises `ValueError`, and changes nothing, for arguments of a wrong shape, name or range, times that go backwards, scenes
     with more than there is room for, another robot, and goals outside of the limits.
@@ -142,7 +143,11 @@ class Replanner:
         place = place_of(self.robot, self._scene, self.options.margin, self._space.weights)
         command = Command(time, event, self._course, *self._told, place=place)
         if self._log is not None:
-            self._log.write(command, self._goal if asked else None, scene if changed else None, self.robot)
+            try:
+                self._log.write(command, self._goal if asked else None, scene if changed else None, self.robot)
+            except OSError as error:  # which must not keep the command from the robot
+                warnings.warn(f"Replanner: log: {error}; nothing is written from {time:g} s on", stacklevel=2)
+                self._log = None
         return command
 
     def stopping(self, time: float) -> Course:

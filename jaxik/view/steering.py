@@ -192,8 +192,8 @@ class Steering:
 
     # ----------------------------------------------------------------------------------------------------------------
 
-    def _asked(self) -> tuple[Any, ...]:
-        """What the loop is made of: the robot where a tab has put it, what it keeps clear of, and what the target binds."""
+    def _parts(self) -> tuple[Any, ...]:
+        """The parts of which the loop is made: the robot where a tab has put it, what it keeps clear of, and what the target binds."""
         page = self.page
         return page.robot, page.scene if page.clear.value else None, page.task
 
@@ -213,18 +213,18 @@ class Steering:
 
     def _run(self) -> None:
         known, looked, since = self.page.q, 0, [time.monotonic()] * 30
-        self.asked = self._asked()
-        loop = self._made(*self.asked)
+        self.parts = self._parts()
+        loop = self._made(*self.parts)
         state, due = loop.start(known), time.monotonic()
         while self.running.is_set():
             due = max(due + PERIOD, time.monotonic())
             if self.playing:
                 self._played()
-            q, now = self.page.q, self._asked()
+            q, now = self.page.q, self._parts()
             if not (np.array_equal(q, known) and self.on.value):  # a slider, a map or a player has moved it, or it is to stand
                 state = loop.start(q)
-            elif any(new is not old for new, old in zip(now, self.asked, strict=True)):
-                self.asked, loop = now, self._made(*now)
+            elif any(new is not old for new, old in zip(now, self.parts, strict=True)):
+                self.parts, loop = now, self._made(*now)
                 state = loop.start(q)
             if looked % LOOKED == 0:
                 near = self.page.look()

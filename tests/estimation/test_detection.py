@@ -35,6 +35,8 @@ def test_a_loop_is_what_a_log_is():
         since, alarm = detector.step(since, each, rate)
         alarms.append(alarm)
     np.testing.assert_array_equal(detector.detect(external, rates), alarms)
+    for broken in ((np.nan, 0.5), (0.5, np.nan), (-np.inf, 0.5)):
+        assert detector.step(detector.init(), *np.array(broken)[:, None])[1].all()
 
 
 @pytest.mark.parametrize(

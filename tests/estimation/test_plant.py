@@ -94,6 +94,8 @@ def test_instruments():
         (lambda: PlayOptions(window=0), "window is 0; allowed: a count"),
         (lambda: play(jaxik.load("crops_v2"), MOTION), "the motion is of .*; allowed: joint1, .* in this order"),
         (lambda: PlayOptions(rest=0.5), r"rest has the shape \(\); allowed: \(2,\)"),
+        (lambda: play(ARM, MOTION, frequency=1e4), "planar2 flies apart after .* s; lower frequency or dt"),
+        (lambda: play(ARM, MOTION, torsion_play=[0.1, 0.1, 0.1]), r"torsion_play has the shape \(3,\); allowed: \(\), \(2,\)"),
         (lambda: play(ARM, []), "no motion; give a Trajectory"),
         (lambda: play(ARM, [MOTION, "then"]), "motion is then; write a "),
     ],

@@ -122,6 +122,17 @@ def test_scenes_of_all_kinds_are_written_to_the_last_bit(table):
         encoded({1})
 
 
+def test_a_log_that_cannot_be_written_keeps_no_command_from_the_robot(make, tmp_path):
+    (tmp_path / "runs").mkdir()
+    arm = make(log=tmp_path / "runs" / "one.jsonl")
+    arm.go(GOAL)
+    (tmp_path / "runs").rename(tmp_path / "gone")
+    with pytest.warns(UserWarning, match=r"Replanner: log: .*No such file.*one.jsonl'; nothing is written from 0 s on"):
+        assert arm.update(0.0).event is Event.REPLANNED
+    arm.update(0.1)
+    assert len(load_log(tmp_path / "gone" / "one.jsonl").records) == 0
+
+
 def test_what_is_no_log_is_refused(tmp_path):
     path = tmp_path / "other.jsonl"
     path.write_text("cut")

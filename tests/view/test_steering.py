@@ -121,7 +121,7 @@ def test_the_page_says_what_is_kept_clear_and_where_the_arm_stands():
         turned = np.eye(4)
         turned[:3, :3], turned[:3, 3] = np.diag([-1.0, -1.0, 1.0]), [0.3, 0.2, 0.0]
         page.move(page.q, turned)
-        until(lambda: steering.asked[0] is page.robot and "Hz" in steering.said.content)
+        until(lambda: steering.parts[0] is page.robot and "Hz" in steering.said.content)
         for way in ((0.03, 0.0, 0.0), (0.0, -0.03, 0.0)):
             aim = place(page) + way
             steering.device.dragged = True
@@ -131,6 +131,6 @@ def test_the_page_says_what_is_kept_clear_and_where_the_arm_stands():
             steering.device.dragged = False
             until(lambda: not steering.device._followed)
         page.clear.value = False
-        until(lambda: steering.asked[1] is None and "Hz" in steering.said.content)
+        until(lambda: steering.parts[1] is None and "Hz" in steering.said.content)
     finally:
         page.close()
