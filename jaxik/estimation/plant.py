@@ -32,14 +32,8 @@ from jaxik.spatial.rotations import to_wxyz
 from jaxik.spmd import HostKernel
 
 TOLD = 1024  # samples between two calls of `progress`
-SENSED = (
-    "current_noise",
-    "current_step",
-    "torsion_noise",
-    "torsion_step",
-    "torsion_play",
-    "position_step",
-)  # one, or one a joint
+# of PlayOptions, one number or one a joint
+SENSED = "current_noise", "current_step", "torsion_noise", "torsion_step", "torsion_play", "position_step"
 CREEP = 1e-5  # [rad/s, m/s]: slower is at rest, where friction is what the law tends to
 
 

@@ -193,7 +193,7 @@ class Steering:
     # ----------------------------------------------------------------------------------------------------------------
 
     def _parts(self) -> tuple[Any, ...]:
-        """The parts of which the loop is made: the robot where a tab has put it, what it keeps clear of, and what the target binds."""
+        """The parts of the loop: the robot where a tab has put it, what it keeps clear of, what the target binds."""
         page = self.page
         return page.robot, page.scene if page.clear.value else None, page.task
 
