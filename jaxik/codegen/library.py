@@ -12,7 +12,7 @@ from jaxik import platforms
 from jaxik.codegen.archive import Member, archive
 from jaxik.codegen.functions import Function, function_of
 from jaxik.codegen.header import header
-from jaxik.codegen.names import check_name
+from jaxik.codegen.names import check_name, check_python
 from jaxik.codegen.python_loader import linked, loader
 from jaxik.codegen.webassembly import javascript, module
 
@@ -91,6 +91,8 @@ def write_library(
     Python or a browser needs, and `more` texts by their files' names. Raises `ValueError`, as for a text that is there and was
     not made here. Host."""
     check_name(name)
+    if python:
+        check_python(name, [each.name for each in functions])
     files: dict[str, bytes] = {f"{name}.h": header(name, functions, words).encode()}
     members = [Member(f"{each.name}.o", each.image, each.symbols) for each in functions]
     files[f"lib{name}.a"] = archive(members)

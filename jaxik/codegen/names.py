@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import keyword
 import re
+import sys
+from collections.abc import Sequence
 
 _WORDS = """
 alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t char16_t char32_t class co_await
@@ -35,8 +38,13 @@ strncat strncmp strncpy strpbrk strrchr strspn strstr strtod strtof strtok strto
 time timegm times tmpfile tmpnam tolower toupper truncate umask uname ungetc unlink usleep utime vfprintf vprintf vsnprintf
 vsprintf wait waitpid write
 """
+_CMAKE = """
+all clean edit_cache help install package package_source preinstall rebuild_cache test
+"""
+_TARGETS = frozenset(_CMAKE.split())
 _RESERVED = frozenset(_WORDS.split())  # in C, in C++, in the headers that are included, and in what is written here
-_TAKEN = frozenset(("c", "m", *_LIBRARY.split())) | {name + width for name in _MATHEMATICS.split() for width in ("", "f", "l")}
+_WIDTHS = {name + width for name in _MATHEMATICS.split() for width in ("", "f", "l")}
+_TAKEN = frozenset(("c", "m", *_LIBRARY.split(), *_WIDTHS)) | _TARGETS
 
 
 def check_word(name: str) -> None:
@@ -49,7 +57,18 @@ def check_name(name: str) -> None:
     """Raises `ValueError` for what cannot be the name of a function or a library, too: one of C's library would be replaced."""
     check_word(name)
     if name in _TAKEN:
-        raise ValueError(f"export: {name!r} is taken by C's library; choose another by name=, such as robot_{name}")
+        owner = "CMake" if name in _TARGETS else "C's library"
+        raise ValueError(f"export: {name!r} is taken by {owner}; choose another by name=, such as robot_{name}")
+
+
+def check_python(module: str, functions: Sequence[str]) -> None:
+    """Raises `ValueError` for a module that would stand before one of Python's, or NumPy, which it needs itself; and for a
+    function that is a word of Python's."""
+    if module in sys.stdlib_module_names or module == "numpy":
+        raise ValueError(f"export: {module}.py would hide the module {module}; choose another name, such as robot_{module}")
+    for name in (module, *functions):
+        if keyword.iskeyword(name):
+            raise ValueError(f"export: {name!r} is a word of Python's; choose another name, such as robot_{name}")
 
 
 def free_name(words: str) -> str:
