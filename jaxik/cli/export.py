@@ -43,8 +43,8 @@ class ExportArguments(ShapedRobotArguments):
         if not set(names) <= {*FUNCTIONS, "all"} or not names:
             wrong = next((each for each in names if each not in FUNCTIONS), "")
             raise ValueError(f"--functions {wrong}: choose of {', '.join(FUNCTIONS)}, with commas between, or all")
-        robot = jaxik.load(self.robot, **self.loading())
-        scene = jaxik.load_scene(self.scene) if self.scene else None
+        loading, scene = self.loading(), jaxik.load_scene(self.scene) if self.scene else None
+        robot = jaxik.load(self.robot, **loading)  # at last: its meshes may take a while
         wanted = [each for each in FUNCTIONS if _has(robot, each, self.double)] if "all" in names else names
         made = export_robot(
             robot,

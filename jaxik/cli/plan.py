@@ -64,11 +64,12 @@ class PlanArguments(FLAGS, SearchArguments):
             check_writable(self.poses, "--poses", (".csv",))
         if self.without and self.scene is None and self.cloud is None:
             raise ValueError(f"--without {' '.join(self.without)}: there is no scene to leave it out of; give --scene")
-        loading, scene = self.loading(), (self.around() or jaxik.make_scene()).without(self.without)
-        robot = jaxik.load(self.robot, **loading)  # at last: its meshes may take a while
         for name in ("start", "goal"):
             if not np.isfinite(getattr(self, name)).all():
                 raise ValueError(f"--{name} {' '.join(map(str, getattr(self, name)))}: finite numbers [rad, m]")
+        loading, scene = self.loading(), (self.around() or jaxik.make_scene()).without(self.without)
+        robot = jaxik.load(self.robot, **loading)  # at last: its meshes may take a while
+        for name in ("start", "goal"):
             if (count := len(getattr(self, name))) != robot.num_joints:
                 joints = f"{robot.num_joints}: {', '.join(robot.joint_names)}"
                 raise ValueError(f"--{name}: {count} numbers; {robot.name} has {joints}")

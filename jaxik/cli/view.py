@@ -62,13 +62,12 @@ class ViewArguments(AroundArguments, ShapedRobotArguments):
         """The page of a robot, what is around it, and what is made with it."""
         from jaxik.view import Page
 
-        how = self.loading()
-        robot = jaxik.load(self.robot, **how)
+        how, scene = self.loading(), self.around()
         harvest = self.harvest or self.motions
         if harvest and self.scene is None:
             asked = "harvest" if self.harvest else "motions"
             raise ValueError(f"--{asked}: needs a --scene with fruits, e.g. --scene cucumber_row")
-        scene = self.around()
+        robot = jaxik.load(self.robot, **how)  # at last: its meshes may take a while
         picked = jaxik.harvest(robot, scene) if harvest and scene is not None else None
         plan = plan_harvest(picked) if self.motions and picked is not None else None
         read = self.meshes and not robot.surfaces  # which are what is to be seen

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 import keyword
 import re
 import sys
@@ -40,6 +41,7 @@ vsprintf wait waitpid write
 """
 _CMAKE = """
 all clean edit_cache help install package package_source preinstall rebuild_cache test
+ALL_BUILD INSTALL PACKAGE RUN_TESTS ZERO_CHECK
 """
 _TARGETS = frozenset(_CMAKE.split())
 _RESERVED = frozenset(_WORDS.split())  # in C, in C++, in the headers that are included, and in what is written here
@@ -63,12 +65,12 @@ def check_name(name: str) -> None:
 
 def check_python(module: str, functions: Sequence[str]) -> None:
     """Raises `ValueError` for a module that would stand before one of Python's, or NumPy, which it needs itself; and for a
-    function that is a word of Python's."""
+    function that is a word of Python's, or would take the place of something that the module needs."""
     if module in sys.stdlib_module_names or module == "numpy":
         raise ValueError(f"export: {module}.py would hide the module {module}; choose another name, such as robot_{module}")
     for name in (module, *functions):
-        if keyword.iskeyword(name):
-            raise ValueError(f"export: {name!r} is a word of Python's; choose another name, such as robot_{name}")
+        if keyword.iskeyword(name) or name in dir(builtins) or name in ("np", "ctypes", "pathlib") or name[0] == "_":
+            raise ValueError(f"export: {name!r} is a word of Python's; choose another name, such as robot_{name.lstrip('_')}")
 
 
 def free_name(words: str) -> str:

@@ -232,9 +232,9 @@ def _on_body(robot: Robot, push: Push) -> tuple[int, np.ndarray, Push]:
     """The body of MuJoCo that a push acts on, and the point (3,) [m] in its frame."""
     if push.link not in robot.link_names:
         raise ValueError(no_such("push", "link", push.link, robot.link_names))
-    link, point = robot.link_names.index(push.link), numbers("push: point", push.point, (3,))
+    link, point = robot.link_names.index(push.link), numbers("push: point", push.point, (3,), finite=True)
     if not callable(push.force):
-        push = push._replace(force=numbers("push: force", push.force, (3,)))
+        push = push._replace(force=numbers("push: force", push.force, (3,), finite=True))
     # the world, the base and then a body a joint
     return 1 + robot.link_joint[link], (np.asarray(robot.link_offset[link]) @ [*point, 1.0])[:3], push
 
@@ -250,6 +250,8 @@ def _pushed(mujoco: Any, model: Any, data: Any, pushes: Sequence[tuple[int, np.n
     for body, point, push in active:
         at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ point
         force = push.force(t, turn.T @ (at - origin)) if callable(push.force) else push.force
+        if not np.isfinite(force).all():
+            raise ValueError(f"push: the force on {push.link} after {t:g} s is {shown(force)}; write finite numbers [N]")
         mujoco.mj_applyFT(model, data, turn @ force, np.zeros(3), at, body, total)
     return total
 

@@ -52,7 +52,7 @@ class Replanner:
     Limits of velocity, acceleration and jerk hold at every moment, also through changes. `options` and keywords are those of
     `ReplanOptions`; the scene's room (`Scene.with_room`) says for how many things programs are compiled, once. Commands follow
     from what was given, the times and the seed alone. With `log`, a path, all of that is written as it comes, and `replay`
-    computes it anew; where that fails, a warning says so, and the robot goes on without a log.
+    computes it anew; where it cannot be written, a warning says so, and the robot goes on without it.
 
     Raises `ValueError`, and changes nothing, for arguments of a wrong shape, name or range, times that go backwards, scenes
     with more than there is room for, another robot, and goals outside of the limits.
@@ -146,8 +146,8 @@ class Replanner:
             try:
                 self._log.write(command, self._goal if asked else None, scene if changed else None, self.robot)
             except OSError as error:  # which must not keep the command from the robot
-                warnings.warn(f"Replanner: log: {error}; nothing is written from {time:g} s on", stacklevel=2)
                 self._log = None
+                warnings.warn(f"Replanner: log: {error}; nothing is written from {time:g} s on", stacklevel=2)
         return command
 
     def stopping(self, time: float) -> Course:

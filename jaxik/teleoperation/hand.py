@@ -43,6 +43,7 @@ from jaxik.spatial.algebra import safe_divide, safe_sqrt
 
 _EVENT = struct.Struct("=IhBB")  # of Linux' joystick interface: time [ms], value, kind, number
 _BUTTON, _AXIS = 1, 2
+_RESTS = 0.1  # of the fastest turn: less is a stick in its middle
 _FASTEST_HAND = 5.0  # [m/s]; beyond it is a device that jumps, and begins anew where it is
 KEYS = {  # of the keyboard: along, about
     "d": (0, 1.0), "a": (0, -1.0), "w": (1, 1.0), "s": (1, -1.0), "r": (2, 1.0), "f": (2, -1.0),
@@ -234,11 +235,12 @@ class RateControl(_Mapping, who="rate control"):
     fastest: float = number(default=0.25, unit="m/s", least=0.0, words="bound of the tip's speed")
     turning: float = number(default=0.5, unit="rad/s", least=0.0, words="bound of the tip's turn")
 
-    def step(self, state: Mapped, position: Any, active: Any, dt: float, age: Any = 0.0) -> tuple[Mapped, Any]:
-        """Returns the state and the velocity (3,) [m/s] for a hand that was at `position` (3,) [m] an `age` [s] ago, and may
-        move the arm if `active`. Traced."""
+    def step(self, state: Mapped, position: Any, active: Any, dt: float, age: Any = 0.0, turn: Any = 0.0) -> tuple[Mapped, Any]:
+        """Returns the state and the velocity (3,) [m/s] for a hand that was at `position` (3,) [m] an `age` [s] ago and wants
+        to `turn` (3,) [rad/s], and may move the arm if `active`. Traced."""
         size = safe_sqrt(position @ position)
-        moves = active & (state.moves | (size <= self.dead_band))
+        rests = (size <= self.dead_band) & jnp.all(jnp.abs(turn) <= _RESTS * self.turning)
+        moves = active & (state.moves | rests)
         speed = jnp.expm1(self.c2 * jnp.maximum(size - self.dead_band, 0.0)) / self.c1
         velocity = jnp.where(moves, position * safe_divide(jnp.minimum(speed, self.fastest), size), 0.0)
         return Mapped(position, age + jnp.zeros_like(size), moves), velocity
@@ -254,12 +256,13 @@ class PositionControl(_Mapping, who="position control"):
     fastest: float = number(default=0.5, unit="m/s", least=0.0, words="bound of the tip's speed")
     turning: float = number(default=0.5, unit="rad/s", least=0.0, words="bound of the tip's turn")
 
-    def step(self, state: Mapped, position: Any, active: Any, dt: float, age: Any = 0.0) -> tuple[Mapped, Any]:
+    def step(self, state: Mapped, position: Any, active: Any, dt: float, age: Any = 0.0, turn: Any = 0.0) -> tuple[Mapped, Any]:
         """Returns the state and the velocity (3,) [m/s] for a hand that was at `position` (3,) [m] an `age` [s] ago, and may
-        move the arm if `active`. Traced."""
+        move the arm if `active`; however it wants to `turn`. Traced."""
         way = position - state.position
         size = way @ way
-        follows = active & state.moves & (size <= (_FASTEST_HAND * (dt + state.age)) ** 2)
+        since = jnp.maximum(dt + state.age - age, 0.0)  # between what was told then and now
+        follows = active & state.moves & (size <= (_FASTEST_HAND * since) ** 2)
         velocity = jnp.where(follows, self.workspace * way / dt, 0.0)
         return Mapped(position, age + jnp.zeros_like(size), active), velocity
 

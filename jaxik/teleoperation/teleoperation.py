@@ -243,7 +243,7 @@ class Teleoperation(Options, Stepped, who="teleoperation", eq=False):
     def _at_hand(self, state: TeleoperationState, hand: Hand, told: Any) -> tuple[Any, ...]:
         well = told == Reason.SOLVED
         active = well & (hand.buttons[0] == 0.0)
-        mapped, velocity = self.mapping.step(state.mapped, hand.position, active, self.dt, hand.age)
+        mapped, velocity = self.mapping.step(state.mapped, hand.position, active, self.dt, hand.age, hand.turn)
         end, packet, force = self._channel.hand(state.hand, state.arrived, velocity, self.dt)
         turn = jnp.where(mapped.moves, bounded(hand.turn, self.mapping.turning), 0.0)
         felt = jnp.where(active, force, 0.0)  # a hand that does not move the arm would be moved for nothing

@@ -124,6 +124,10 @@ class PageHand:
         # the tip is the reference of a drag, however far it has gone when it is first seen
         return Hand(tip[:3, 3], np.zeros(3), np.array([float(not begun)]))
 
+    def begin(self) -> None:
+        """Takes the tip as the reference of a drag that goes on."""
+        self._followed, self._pushed = False, None
+
     def render(self, force: np.ndarray) -> None:
         """A mouse has no motors; the page draws arrows."""
 
@@ -180,13 +184,12 @@ class Steering:
         page says, too, where no arm can follow it: a slider or another tab may move what is shown at once."""
         robot = self.page.robot
         try:
-            motion = recorded(self.rows, PERIOD)
-            file = save_trajectory(motion, self.file.value, robot=robot, dt=PERIOD)
+            file = save_trajectory(recorded(self.rows, PERIOD), self.file.value, robot=robot, dt=PERIOD)
         except (ValueError, OSError) as error:
             self.kept.content = boxed(str(error))
             return None
-        fastest = np.abs(motion.sample(PERIOD).velocity).max(axis=0)
-        quick = ", ".join(np.array(robot.joint_names)[fastest > robot.velocity])
+        fastest = np.abs(np.diff(self.rows, axis=0)).max(axis=0) / PERIOD
+        quick = ", ".join(np.array(robot.joint_names)[fastest > (1.0 + 1e-6) * robot.velocity])
         self.kept.content = boxed(f"{file}: {len(self.rows)} samples" + f"; beyond the speed limits of {quick}" * bool(quick))
         return file
 
@@ -224,8 +227,9 @@ class Steering:
             if not (np.array_equal(q, known) and self.on.value):  # a slider, a map or a player has moved it, or it is to stand
                 state = loop.start(q)
             elif any(new is not old for new, old in zip(now, self.parts, strict=True)):
-                self.parts, loop = now, self._made(*now)
+                self.parts, loop, looked = now, self._made(*now), 0
                 state = loop.start(q)
+                self.device.begin()
             if looked % LOOKED == 0:
                 near = self.page.look()
             contact, at = self._contact(near)

@@ -95,6 +95,7 @@ CASES = {
         {"name": "lambda", "python": True},
         "'lambda' is a word of Python's; ",
     ),
+    "a function of Python": (two, (0.0, 0.0), {"name": "zip", "python": True}, "'zip' is a word of Python's; "),
     "a module": (two, (0.0, 0.0), {"name": "numpy", "python": True}, "numpy.py would hide the module numpy; .* robot_numpy"),
     "words": (two, (0.0, 0.0), {"words": {"typo": "[m]"}}, "two: words tell of 'typo', .*; choose of two, x, y, result"),
     "results": (two, (0.0, 0.0), {"results": ["a", "b"]}, "two: results names 2, and the function has 1"),

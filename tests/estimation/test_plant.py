@@ -89,6 +89,8 @@ def test_instruments():
         (lambda: play(dataclasses.replace(ARM, drives=()), MOTION), "planar2 has no drives"),
         (lambda: play(ARM, MOTION, pushes=[Push("link7", [0, 0, 0], [0, 0, 0])]), "no link 'link7'; did you mean"),
         (lambda: play(ARM, MOTION, pushes=[Push("link1", [0, 0], [0, 0, 0])]), r"push: point has the shape \(2,\)"),
+        (lambda: play(ARM, MOTION, pushes=[Push("link1", [0, 0, 0], [0, 0, np.nan])]), "push: force .* finite"),
+        (lambda: play(ARM, MOTION, pushes=[Push("link1", [0, 0, 0], lambda t, p: [0, 0, np.inf])]), "force on link1 after 0 s"),
         (lambda: play(ARM, MOTION, dt=0.0), "dt is 0.0"),
         (lambda: play(ARM, MOTION, current_noise=-1.0), "current_noise is -1.0; allowed: finite numbers of at least 0"),
         (lambda: PlayOptions(window=0), "window is 0; allowed: a count"),

@@ -94,6 +94,15 @@ def test_rate_control_waits_for_its_middle():
     assert np.sign(mapped(RateControl(), way, active)[:, 0]).tolist() == [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 
 
+def test_a_stick_that_turns_at_the_start_turns_nothing():
+    setup, q = teleoperation(mapping=RateControl(turning=0.5), task=jaxik.Task.pose(("x", "y", "z", "roll", "pitch"))), Q
+    state, step, moved = setup.init(Q), jax.jit(setup.step), []
+    for turn in (0.5, 0.5, 0.01, 0.5, 0.5):
+        state, command = step(state, q, hands([0.0, 0.0, 0.0], turn=[0.0, 0.0, turn]))
+        moved.append(bool(np.abs(command.rate).max() > 1e-6))
+    assert moved == [False, False, True, True, True]
+
+
 def test_position_control_is_a_way_times_the_workspace():
     way = circle(500, 0.01)
     np.testing.assert_allclose(followed(PositionControl(workspace=15.0, fastest=10.0), 0.2 + way), 15.0 * way, atol=1e-12)
@@ -111,7 +120,7 @@ def test_a_device_that_speaks_seldom_is_followed():
         q, state = jnp.asarray(Q), setup.init(Q)
         for k in range(200):  # 0.5 m/s, told at 50 Hz to a loop of 1 kHz
             late, where = k % 20, 0.01 * min(k // 20, 5)
-            state, command = step(state, q, hands([0.0, -where, 0.0], age=DT * late * tells))
+            state, command = step(state, q, hands([0.0, -where, 0.0], age=DT * late if tells else 0.19))
             q = q + DT * command.rate
         return np.asarray(jaxik.forward_kinematics(ARM, q) - jaxik.forward_kinematics(ARM, Q))[1, 3]
 
