@@ -32,7 +32,8 @@ from jaxik.optimise import descent, ocp
 
 class PredictiveState(NamedTuple):
     """The robot and its plan: q and null-space input u (n,) at `time` [s], the plan w (N, n), and the descent's gradient,
-    direction, interval and number of iterations, which go on from sample to sample."""
+    direction, interval and number of iterations, which go on from sample to sample; and what rounding has `left` out of the
+    time, which float32 would lose sample by sample."""
 
     q: Float[Array, " n"]
     u: Float[Array, " n"]
@@ -42,6 +43,7 @@ class PredictiveState(NamedTuple):
     direction: Float[Array, "k n"]
     interval: Float[Array, "2"]
     iterations: Int[Array, ""]
+    left: Float[Array, ""]
 
 
 class PredictiveCommand(NamedTuple):
@@ -93,7 +95,7 @@ class PredictiveController:
         plan = jnp.zeros((how.count, n), q.dtype)
         interval = jnp.array(how.descend.interval, q.dtype)
         zero, none = jnp.zeros((), q.dtype), jnp.zeros((), int)
-        return PredictiveState(q, jnp.zeros_like(q), zero, plan, plan + 0, plan + 0, interval, none)
+        return PredictiveState(q, jnp.zeros_like(q), zero, plan, plan + 0, plan + 0, interval, none, zero + 0)
 
     def step(
         self, state: PredictiveState, path: Path, duration: Any, *, given: Any = None
@@ -143,7 +145,8 @@ class PredictiveController:
 
     @functools.cached_property
     def _judged(self) -> Callable[[Course], tuple[Any, Any]]:
-        return jax.jit(lambda course: diagnose(self.robot, self.options.task, course, self.options.tolerance, keep=True))
+        how = self.options
+        return jax.jit(lambda course: diagnose(self.robot, how.task, course, how.tolerance, keep=True, dt=how.dt))
 
     def _advance(
         self, state: PredictiveState, path: Path, duration: Any, given: tuple[Any, ...]
@@ -162,7 +165,10 @@ class PredictiveController:
         velocity = (q - state.q) / how.dt
         shift = lambda x: jnp.concatenate([x[1:], jnp.zeros_like(x[:1])])
         w, gradient, direction = map(shift, (plan.w, plan.gradient, plan.direction))
-        after = PredictiveState(q, u, state.time + how.dt, w, gradient, direction, plan.interval, plan.iterations)
+        passed = how.dt + state.left  # Kahan's sum
+        time = state.time + passed
+        left = passed - (time - state.time)
+        after = PredictiveState(q, u, time, w, gradient, direction, plan.interval, plan.iterations, left)
         return after, PredictiveCommand(state.q, velocity, first.y[0], first.total, now.error, now.damping)
 
     def _moved(self, state: PredictiveState, w: Any, run: Any, ahead: Any, given: tuple[Any, ...]) -> tuple[Any, Any]:

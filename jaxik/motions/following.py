@@ -38,7 +38,7 @@ from jaxik.spmd.batch import in_blocks
 
 Scheme = Literal["rmrc", "asc", "rac"]
 Each = Literal["path", "duration"]
-FASTER = 1e-4  # of a joint's velocity limit, that rounding and differences of samples may add
+FASTER = 1e-4  # of a joint's velocity limit, that solvers may add
 LANES = 128  # motions a call where there are more: another number compiles nothing
 Axes = tuple[int | None, ...]
 Progress = Callable[[int, int], Any]
@@ -220,7 +220,7 @@ def _program(
         whole = kernel(lambda q, stages: jax.lax.scan(turn, (q, jnp.zeros_like(q)), stages)[1])
         at, moving, error, damping, held = whole(q, stages)
         course = Course(at, moving, error, damping, stages.pose[:, 0], held)
-        reason, sample = diagnose(robot, how.task, course, how.tolerance, how.limits)
+        reason, sample = diagnose(robot, how.task, course, how.tolerance, how.limits, how.dt)
         return (*_standing(course, jnp.where(reason == Reason.STILL, count, sample)), reason, sample)
 
     return jax.jit(run if axes is None else jax.vmap(run, in_axes=axes))
@@ -274,8 +274,8 @@ class Course(NamedTuple):
     costs: Any = 0.0
 
 
-def diagnose(robot: Robot, task: Task, course: Course, tolerance: float, keep: bool) -> tuple[Any, Any]:
-    """The `Reason` and the sample where it happened, the number of samples where all is well. Traced.
+def diagnose(robot: Robot, task: Task, course: Course, tolerance: float, keep: bool, dt: float) -> tuple[Any, Any]:
+    """The `Reason` and the sample, one every `dt` [s], where it happened, the number of samples where all is well. Traced.
 
     A motion fails where something is not a number, its cost included (INVALID), where a joint passes the limits of position or
     velocity that it should `keep` (LIMITS), and where the tip's error exceeds `tolerance` in a component: because the path
@@ -285,7 +285,7 @@ def diagnose(robot: Robot, task: Task, course: Course, tolerance: float, keep: b
     """
     index = jnp.arange(len(course.q))
     q, qdot, error, damping, pose, held, costs = (jnp.broadcast_to(x, (len(index), *jnp.shape(x)[1:])) for x in course)
-    moment = functools.partial(_moment, robot, task, float(tolerance), bool(keep), pose[0])
+    moment = functools.partial(_moment, robot, task, float(tolerance), bool(keep), float(dt), pose[0])
     lost, outside, late, well, beyond, moved = jax.vmap(moment)(q, qdot, error, pose, costs)
     fails = lost | outside | late
     first, moves = jnp.argmax(fails), jnp.any(moved)
@@ -302,16 +302,26 @@ def diagnose(robot: Robot, task: Task, course: Course, tolerance: float, keep: b
     return jnp.where(failed, reason, well_done), jnp.where(failed, first, reached)
 
 
-@kernel(models=4)
+@kernel(models=5)
 def _moment(
-    robot: Robot, task: Task, tolerance: float, keep: bool, first: Any, q: Any, qdot: Any, error: Any, pose: Any, costs: Any
+    robot: Robot,
+    task: Task,
+    tolerance: float,
+    keep: bool,
+    dt: float,
+    first: Any,
+    q: Any,
+    qdot: Any,
+    error: Any,
+    pose: Any,
+    costs: Any,
 ) -> tuple[Any, ...]:
     """Whether a sample is lost, outside of the limits, late, well, beyond reach, and has moved from the `first` pose."""
     finite = [jnp.all(jnp.isfinite(x)) for x in (q, qdot, error, pose, costs)]
     lost = ~jnp.all(jnp.stack(finite))
     lower, upper, fastest = (jnp.asarray(bound, q.dtype) for bound in (robot.lower, robot.upper, robot.velocity))
-    near = 1e-6 * (1.0 + jnp.abs(q))
-    outside = (q < lower - near) | (q > upper + near) | (jnp.abs(qdot) > (1.0 + FASTER) * fastest)
+    near, unsure = (share * (1.0 + jnp.abs(q)) for share in (1e-6, 2.0 * float(jnp.finfo(q.dtype).eps) / dt))
+    outside = (q < lower - near) | (q > upper + near) | (jnp.abs(qdot) > (1.0 + FASTER) * fastest + unsure)
     away = jnp.max(jnp.abs(error), initial=0.0)
     moved = jnp.any(jnp.abs(pose - first) > 100.0 * jnp.finfo(q.dtype).eps)
     late = ~(away <= tolerance) & ~lost

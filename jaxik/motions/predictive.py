@@ -197,8 +197,10 @@ def _program(robot: Robot, cost: RunningCost, how: PredictOptions, axes: Axes | 
         w = found.w[1:] if how.free_start else found.w
         run, record = found.aux, (found.iterations, found.costs, found.alphas, found.betas)
         (q, *_), seen, asked = run.y, run.seen, ahead.asked
-        course = Course(q[:-1], run.v, seen.error, seen.damping, asked.pose[:, 0], costs=run.costs)
-        judged = diagnose(robot, how.task, course, how.tolerance, keep=True)
+        again = lambda x: jnp.concatenate([x, x[-1:]])  # where the motion ends has limits, too
+        course = Course(q, *map(again, (run.v, seen.error, seen.damping, asked.pose[:, 0])), costs=again(run.costs))
+        reason, sample = diagnose(robot, how.task, course, how.tolerance, keep=True, dt=how.dt)
+        judged = reason, jnp.minimum(sample, how.count)
         return PredictResult(q, run.v, w, run.costs, seen.error, seen.damping, *judged, *record)
 
     return jax.jit(solve if axes is None else jax.vmap(solve, in_axes=axes))

@@ -252,3 +252,33 @@ def test_a_path_that_begins_elsewhere_was_not_left_for_limits(slow, to):
         found = follow(slow, to(0.5, 3.0, START + 0.3), 1.0, START, dt=0.02, task=IN_PLANE)
     (predicted, *_) = judged_motions(slow, to(0.5, 3.0, START + 0.3))
     assert found.reason == predicted.reason == Reason.NOT_CONVERGED
+
+
+def test_rounding_is_no_limit(pendulum):
+    """A joint that moves as fast as it may for all the time, in float32: differences of its values are rounded."""
+    lazy, start = dataclasses.replace(pendulum, velocity=np.full(4, 0.1)), pinocchio(pendulum)(START)
+    with jax.enable_x64(False):
+        found = follow(lazy, Line(start, start), 0.5, START, cost=COMFORT, alpha=100.0, dt=5e-4, task=IN_PLANE)
+        fast = np.abs(np.asarray(found.velocity, float)).max()
+    assert found.reason == Reason.STILL and fast == pytest.approx(0.1, rel=0.05)
+
+
+def test_a_motion_that_ends_beyond_a_limit_is_not_solved(pendulum, to):
+    options = PredictOptions(dt=0.02, count=50, task=IN_PLANE, descend=jaxik.optimise.DescentOptions(iterations=2))
+    ahead = lambda robot: jaxik.predict(robot, to(0.9, 3.7), 2.0, START, CALM, options=options)  # half of the way
+    found = ahead(pendulum)
+    last, most = np.asarray(found.q[-1]), np.asarray(found.q[:-1]).max(axis=0)
+    assert found.reason == Reason.SOLVED and found.sample == 50 and (last > most + 5e-4).any()
+    ends = ahead(dataclasses.replace(pendulum, upper=np.where(last > most, (last + most) / 2.0, np.pi)))
+    np.testing.assert_allclose(ends.q, found.q, atol=1e-9)
+    assert ends.reason == Reason.LIMITS and ends.sample == 50
+
+
+def test_the_clock_of_a_moving_horizon_does_not_drift(pendulum, to):
+    """As many samples of float32, from minutes on, as the clock says, to its rounding."""
+    with jax.enable_x64(False):
+        control, path = PredictiveController(pendulum, CALM, dt=1e-3, count=2, task=IN_PLANE), to(0.9, 3.7)
+        state = control.init(START)._replace(time=jnp.float32(300.0))
+        for _ in range(500):
+            state, _ = control.step(state, path, 1.0)
+        assert float(state.time) == pytest.approx(300.5, abs=3.1e-5)
