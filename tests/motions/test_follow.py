@@ -275,7 +275,7 @@ def test_a_motion_that_ends_beyond_a_limit_is_not_solved(pendulum, to):
 
 
 def test_the_clock_of_a_moving_horizon_does_not_drift(pendulum, to):
-    """As many samples of float32, from minutes on, as the clock says, to its rounding."""
+    """The samples of float32, from minutes on, add up to what a clock says, to its rounding."""
     with jax.enable_x64(False):
         control, path = PredictiveController(pendulum, CALM, dt=1e-3, count=2, task=IN_PLANE), to(0.9, 3.7)
         state = control.init(START)._replace(time=jnp.float32(300.0))
