@@ -239,7 +239,9 @@ class RateControl(_Mapping, who="rate control"):
         """Returns the state and the velocity (3,) [m/s] for a hand that was at `position` (3,) [m] an `age` [s] ago and wants
         to `turn` (3,) [rad/s], and may move the arm if `active`. Traced."""
         size = safe_sqrt(position @ position)
-        rests = (size <= self.dead_band) & jnp.all(jnp.abs(turn) <= _RESTS * self.turning)
+        rests = size <= self.dead_band
+        if self.turning:  # or the turn is not heeded
+            rests &= jnp.all(jnp.abs(turn) <= _RESTS * self.turning)
         moves = active & (state.moves | rests)
         speed = jnp.expm1(self.c2 * jnp.maximum(size - self.dead_band, 0.0)) / self.c1
         velocity = jnp.where(moves, position * safe_divide(jnp.minimum(speed, self.fastest), size), 0.0)
