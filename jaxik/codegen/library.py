@@ -12,7 +12,7 @@ from jaxik import platforms
 from jaxik.codegen.archive import Member, archive
 from jaxik.codegen.functions import Function, function_of
 from jaxik.codegen.header import header
-from jaxik.codegen.names import check_name, check_python
+from jaxik.codegen.names import check_library
 from jaxik.codegen.python_loader import linked, loader
 from jaxik.codegen.webassembly import javascript, module
 
@@ -70,6 +70,7 @@ def export(
     another processor than this one.
     """
     name = name or getattr(function, "__name__", "").strip("<>") or "function"
+    check_library(name, python)
     folder = folder_at(name, path)
     made = function_of(
         function, signature, name=name, target_name=target, double=double, results=results, words=words, shared=shared
@@ -90,9 +91,6 @@ def write_library(
     """Writes functions of one target as a library called `name`: header, static library, the object files `apart`, what
     Python or a browser needs, and `more` texts by their files' names. Raises `ValueError`, as for a text that is there and was
     not made here. Host."""
-    check_name(name)
-    if python:
-        check_python(name, [each.name for each in functions])
     files: dict[str, bytes] = {f"{name}.h": header(name, functions, words).encode()}
     members = [Member(f"{each.name}.o", each.image, each.symbols) for each in functions]
     files[f"lib{name}.a"] = archive(members)

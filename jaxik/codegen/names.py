@@ -6,7 +6,6 @@ import builtins
 import keyword
 import re
 import sys
-from collections.abc import Sequence
 
 _WORDS = """
 alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t char16_t char32_t class co_await
@@ -63,14 +62,15 @@ def check_name(name: str) -> None:
         raise ValueError(f"export: {name!r} is taken by {owner}; choose another by name=, such as robot_{name}")
 
 
-def check_python(module: str, functions: Sequence[str]) -> None:
-    """Raises `ValueError` for a module that would stand before one of Python's, or NumPy, which it needs itself; and for a
-    function that is a word of Python's, or would take the place of something that the module needs."""
-    if module in sys.stdlib_module_names or module == "numpy":
-        raise ValueError(f"export: {module}.py would hide the module {module}; choose another name, such as robot_{module}")
-    for name in (module, *functions):
-        if keyword.iskeyword(name) or name in dir(builtins) or name in ("np", "ctypes", "pathlib") or name[0] == "_":
-            raise ValueError(f"export: {name!r} is a word of Python's; choose another name, such as robot_{name.lstrip('_')}")
+def check_library(name: str, python: bool) -> None:
+    """Raises `ValueError` for what cannot be the name of a library, with which all names in it begin; and where it is to be a
+    module of `python`, too, for one that would hide a module of Python's, or NumPy, and for a word of Python's: what the module
+    itself needs would be lost."""
+    check_name(name)
+    if python and (name in sys.stdlib_module_names or name == "numpy"):
+        raise ValueError(f"export: {name}.py would hide the module {name}; choose another name, such as robot_{name}")
+    if python and (keyword.iskeyword(name) or name in dir(builtins) or name == "np" or name[0] == "_"):
+        raise ValueError(f"export: {name!r} is a word of Python's; choose another name, such as robot_{name.lstrip('_')}")
 
 
 def free_name(words: str) -> str:

@@ -10,7 +10,7 @@ from jaxik.codegen.c_files import cmake_lists, example, test
 from jaxik.codegen.functions import Function
 from jaxik.codegen.header import LICENCE
 from jaxik.codegen.library import Exported, folder_at, write_library
-from jaxik.codegen.names import check_name, free_name
+from jaxik.codegen.names import check_library, free_name
 from jaxik.codegen.robot_functions import FUNCTIONS, robot_function
 from jaxik.codegen.robot_header import robot_header
 from jaxik.codegen.targets import WORDS, target
@@ -52,7 +52,7 @@ def export_robot(
                 f"export: cloud '{cloud.name}' of {cloud.count:,} points; at most {FOLDED:,} are folded in; {mend}"
             )
     name = name or free_name(robot.name)
-    check_name(name)
+    check_library(name, python)
     target(target_name)
     folder = folder_at(name, path)
     samples = [

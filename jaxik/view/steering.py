@@ -170,6 +170,7 @@ class Steering:
             page.server.scene.add_arrows(f"/steering/{name}", np.zeros((1, 2, 3)), rgb(colour), **ARROWS)
             for name, colour in (("contact", CARRIED), ("felt", PATH))
         ]
+        self.parts = self._parts()
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.running.set()
         self.thread.start()
@@ -216,7 +217,6 @@ class Steering:
 
     def _run(self) -> None:
         known, looked, since = self.page.q, 0, [time.monotonic()] * 30
-        self.parts = self._parts()
         loop = self._made(*self.parts)
         state, due = loop.start(known), time.monotonic()
         while self.running.is_set():
